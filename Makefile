@@ -1,0 +1,49 @@
+# Two commands do everything on a bare Python 3.11, 3.12 or 3.13: `make book` and `make test`.
+BIN := .venv/bin
+READY := .venv/.ready
+RUN := $(BIN)/dropout-uncertainty
+
+.PHONY: help book test check quick lab records verify bench clean
+help: ## this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+book: $(READY) ## run the notebooks on the stored records and build the HTML
+	$(RUN) book
+
+test: check ## style, types, import rules and all tests but the slow ones
+	$(BIN)/python -m pytest
+
+check: $(READY)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+quick: $(READY) ## compute everything live at reduced size and build the HTML from that
+	$(RUN) book --profile quick
+
+lab: $(READY) ## open the notebooks in JupyterLab
+	$(BIN)/jupyter lab notebooks
+
+records: $(READY) ## compute the missing thesis-scale records (hours to days; continues where it stopped)
+	$(RUN) book --profile full
+
+verify: $(READY) ## check every stored record against its checksum
+	$(RUN) records verify
+
+bench: $(READY) ## time the package beside other libraries
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bench]'
+	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+
+clean: ## remove what was built; unfinished runs (records/.partial) stay
+	rm -rf _build .pytest_cache .ruff_cache .mypy_cache .import_linter_cache
+
+# The environment is made again when what it holds has changed.
+$(READY): pyproject.toml constraints.txt
+	@for python in $(PYTHON) python3.13 python3.12 python3.11 python3 python; do \
+	  if $$python -c 'import sys, venv; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null; then \
+	    set -ex; $$python -m venv .venv; \
+	    $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[book,test]'; \
+	    touch $@; exit 0; \
+	  fi; \
+	done; echo "No Python 3.11, 3.12 or 3.13 was found: install one, or name it with make PYTHON=..." >&2; exit 1

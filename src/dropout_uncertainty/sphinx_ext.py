@@ -1,0 +1,55 @@
+"""What the book needs from Sphinx beyond its configuration: offline formulas, the thesis's numbers, clean roles."""
+
+import re
+import shutil
+from importlib.metadata import distribution
+from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+
+__all__ = ["setup"]
+
+#: The first algorithm of the chapter is Algorithm 3 of the thesis.
+FIRST_ALGORITHM = 3
+
+MATHJAX = "mathjax/tex-svg.js"
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Connect the parts to Sphinx."""
+    app.connect("config-inited", lambda _app, config: setattr(config, "mathjax_path", MATHJAX))
+    app.connect("build-finished", copy_mathjax)
+    app.connect("env-get-updated", number_algorithms, priority=900)
+    app.connect("html-page-context", mend_roles, priority=900)
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def copy_mathjax(app: Sphinx, exception: Exception | None) -> None:
+    """Put the one MathJax file that draws formulas without fonts from elsewhere beside the pages.
+
+    It must not lie in ``book/_static``: every script there is loaded by every page. The package's own extension would
+    copy ten times as much.
+    """
+    if exception is None and app.builder.format == "html":
+        target = Path(app.outdir, "_static", MATHJAX)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        package = distribution("sphinx-mathjax-offline")
+        shutil.copyfile(str(package.locate_file(f"sphinx-mathjax-offline/static/{MATHJAX}")), target)
+
+
+def number_algorithms(app: Sphinx, env: BuildEnvironment) -> list[str]:
+    """Number algorithms as the thesis does; sphinx-proof has no option for the first number."""
+    for kinds in env.toc_fignumbers.values():
+        for name, number in kinds.get("algorithm", {}).items():
+            kinds["algorithm"][name] = (*number[:-1], number[-1] + FIRST_ALGORITHM - 1)
+    return []
+
+
+def mend_roles(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: object) -> None:
+    """Take out of the page what screen readers stumble over: list roles without a list, an id used several times."""
+    body = context.get("body")
+    if body:
+        body = re.sub(r' role="(list|doc-biblioentry)"', "", body)
+        context["body"] = body.replace(' id="proof-content"', "")
