@@ -1,0 +1,125 @@
+"""Controllers: features of the observed state in, a squashed force out; for points, batches and Gaussian inputs.
+
+A controller is a value, a frozen dataclass of tensors with the replica axis R first, so that an optimiser can build one
+from any vector of parameters. Calling it gives the preliminary output, before the squash; `force` applies both.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from dropout_uncertainty.data_efficiency.cartpole import CartPole, features
+from dropout_uncertainty.data_efficiency.moment_matching import (
+    Gaussian,
+    Moments,
+    SquaredExponential,
+    linear_moments,
+    sine_moments,
+    squared_exponential,
+)
+
+# The original controller is the posterior mean of a Gaussian process whose signal and noise standard deviations are fixed
+# to 1 and this (pilco-matlab, control/congp.m); only their ratio matters for the weights.
+NOISE_STD = 0.01
+# Added to the variance of the preliminary output, as in the original (gp/gp2.m); keeps it positive for a certain state.
+VARIANCE_JITTER = 1e-6
+
+
+class Controller(Protocol):
+    """What both controllers offer; D features in, F preliminary outputs out."""
+
+    def __call__(self, x: Float[Tensor, "R *K D"]) -> Float[Tensor, "R *K F"]:
+        """Return the preliminary output at points."""
+
+    def moments(self, x: Gaussian) -> Moments:
+        """Return the moments of the preliminary output for a Gaussian input."""
+
+
+@dataclass(frozen=True)
+class RBFController:
+    """A weighted sum of N squared-exponential basis functions of height 1, one set of length-scales per output."""
+
+    centres: Float[Tensor, "R N D"]
+    log_length_scales: Float[Tensor, "R F D"]
+    weights: Float[Tensor, "R F N"]
+
+    @classmethod
+    def from_targets(
+        cls,
+        centres: Float[Tensor, "R N D"],
+        log_length_scales: Float[Tensor, "R F D"],
+        targets: Float[Tensor, "R F N"],
+    ) -> "RBFController":
+        """Return the posterior mean of a Gaussian process that saw `targets` at `centres`: PILCO's parametrisation."""
+        noise = NOISE_STD**2 * torch.eye(centres.shape[-2], dtype=centres.dtype, device=centres.device)
+        gram = (
+            squared_exponential(centres, centres, log_length_scales, torch.zeros_like(targets[..., 0]))
+            + noise
+        )
+        weights = torch.cholesky_solve(targets[..., None], torch.linalg.cholesky(gram))[..., 0]
+        return cls(centres, log_length_scales, weights)
+
+    @property
+    def functions(self) -> SquaredExponential:
+        """The preliminary output as functions whose moments are known."""
+        log_height = torch.zeros_like(self.weights[..., 0])
+        return SquaredExponential(self.centres, self.log_length_scales, log_height, self.weights)
+
+    def __call__(self, x: Float[Tensor, "R *K D"]) -> Float[Tensor, "R *K F"]:
+        """Return the preliminary output at points."""
+        return self.functions(x)
+
+    def moments(self, x: Gaussian) -> Moments:
+        """Return the moments of the preliminary output for a Gaussian input."""
+        return _jittered(self.functions.moments(x))
+
+
+@dataclass(frozen=True)
+class LinearController:
+    """x @ gain + bias."""
+
+    gain: Float[Tensor, "R D F"]
+    bias: Float[Tensor, "R F"]
+
+    def __call__(self, x: Float[Tensor, "R *K D"]) -> Float[Tensor, "R *K F"]:
+        """Return the preliminary output at points."""
+        points = x.reshape(len(x), -1, x.shape[-1])
+        return (points @ self.gain + self.bias[:, None]).reshape(*x.shape[:-1], -1)
+
+    def moments(self, x: Gaussian) -> Moments:
+        """Return the moments of the preliminary output for a Gaussian input."""
+        return _jittered(linear_moments(x, self.gain, self.bias))
+
+
+def squash(u: Float[Tensor, "*batch"], limit: float) -> Float[Tensor, "*batch"]:
+    """Return limit (9 sin u + sin 3u) / 8: within [-limit, limit], of slope 3/2 limit at 0 and very flat at its extremes."""
+    return limit / 8 * (9 * u.sin() + (3 * u).sin())
+
+
+def squash_moments(u: Gaussian, limit: float) -> Moments:
+    """Return the moments of `squash`, element by element, for a Gaussian u."""
+    identity = torch.eye(u.mean.shape[-1], dtype=u.mean.dtype, device=u.mean.device)
+    harmonics = linear_moments(u, torch.cat((identity, 3 * identity), 1))
+    sines = sine_moments(harmonics.out)
+    squashed = linear_moments(sines.out, limit / 8 * torch.cat((9 * identity, identity)))
+    return Moments(squashed.mean, squashed.cov, harmonics.slope @ sines.slope @ squashed.slope)
+
+
+def force(controller: Controller, plant: CartPole, state: Float[Tensor, "R *K 4"]) -> Float[Tensor, "R *K"]:
+    """Return the squashed force [N] for (observed) states, within the plant's limit."""
+    return squash(controller(features(state))[..., 0], plant.force_limit)
+
+
+def force_moments(controller: Controller, limit: float, x: Gaussian) -> Moments:
+    """Return the moments of the squashed output for Gaussian features, the preliminary output matched by a Gaussian."""
+    preliminary = controller.moments(x)
+    squashed = squash_moments(preliminary.out, limit)
+    return Moments(squashed.mean, squashed.cov, preliminary.slope @ squashed.slope)
+
+
+def _jittered(u: Moments) -> Moments:
+    identity = torch.eye(u.mean.shape[-1], dtype=u.cov.dtype, device=u.cov.device)
+    return Moments(u.mean, u.cov + VARIANCE_JITTER * identity, u.slope)

@@ -1,0 +1,207 @@
+"""Records: one ``.npz`` file per finished unit of work, with its provenance inside.
+
+A record is written once, atomically, and never overwritten. It holds plain arrays (no pickles) and a JSON header with
+config, seeds, versions, times and a checksum of the arrays. Reading verifies all of it: what cannot be trusted is a
+``RecordError`` that names the file and what to do.
+"""
+
+import contextlib
+import datetime
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = [
+    "Record", "RecordError", "checksum", "config_dict", "config_hash", "find", "provenance", "read", "root", "verify",
+    "write",
+]  # fmt: skip
+
+SCHEMA = 1
+HEADER = "header.json"
+REQUIRED = ("schema", "experiment", "name", "seeds", "config", "config_hash", "checksum", "provenance")
+
+
+class RecordError(Exception):
+    """A record cannot be read, trusted or written."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A verified record: ``header`` (see ``REQUIRED``), ``arrays`` by name, and the ``path`` it was read from."""
+
+    header: dict[str, Any]
+    arrays: dict[str, np.ndarray]
+    path: Path
+
+    @property
+    def seeds(self) -> list[int]:
+        """The seeds of the replicas, in the order of the arrays' leading axis."""
+        return self.header["seeds"]
+
+
+def root() -> Path:
+    """Return the folder of the records: ``DROPOUT_UNCERTAINTY_RECORDS`` if set, else ``records`` of the repository."""
+    default = Path(__file__).resolve().parents[2] / "records"
+    return Path(os.environ.get("DROPOUT_UNCERTAINTY_RECORDS") or default)
+
+
+def config_dict(config: Any) -> dict[str, Any]:
+    """Return a config dataclass (or mapping) as plain JSON data."""
+    plain = asdict(config) if is_dataclass(config) and not isinstance(config, type) else dict(config)
+    return json.loads(json.dumps(plain))
+
+
+def config_hash(config: Any) -> str:
+    """Return 16 hexadecimal digits that identify the content of a config."""
+    return hashlib.sha256(json.dumps(config_dict(config), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def checksum(arrays: Mapping[str, np.ndarray]) -> str:
+    """Return the SHA-256 over names, dtypes, shapes and bytes of the arrays; the same arrays give the same value."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape};".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+@cache
+def _git(*arguments: str) -> str | None:
+    """Return what git says of the code's repository, None where there is none."""
+    try:
+        folder = Path(__file__).resolve().parent
+        return subprocess.run(
+            ["git", *arguments], cwd=folder, capture_output=True, text=True, check=True, timeout=10
+        ).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def provenance(device: str = "cpu") -> dict[str, Any]:
+    """Return where and with what this process computes: commit, dirty flag, versions, machine, date (UTC)."""
+    import scipy
+    import torch
+
+    status = _git("status", "--porcelain", "--untracked-files=no", "--", "src", "pyproject.toml")
+    return {
+        "commit": _git("rev-parse", "HEAD"),
+        "dirty": None if status is None else bool(status),
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": torch.cuda.get_device_name() if device == "cuda" else _processor(),
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    }
+
+
+@cache
+def _processor() -> str:
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def write(path: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> Record:
+    """Write a record and return it; schema version and checksum are added to ``header``.
+
+    The file appears under its name complete or not at all. If a record with the same arrays is already there it is left
+    alone.
+
+    Raises:
+        RecordError: if another result is already at ``path``, or the file cannot be written.
+    """
+    arrays = {name: np.asarray(array) for name, array in arrays.items()}
+    full = {**header, "schema": SCHEMA, "checksum": checksum(arrays)}
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}-", delete=False) as file:
+            temporary = Path(file.name)
+            text = np.frombuffer(json.dumps(full, indent=1).encode(), np.uint8)
+            np.savez_compressed(file, allow_pickle=False, **{HEADER: text}, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        os.link(temporary, path)  # unlike a rename this never replaces a file
+    except FileExistsError:
+        if read(path).header["checksum"] != full["checksum"]:
+            raise RecordError(f"{path} already holds another result; move it away if you want to replace it") from None
+    except OSError as error:
+        raise RecordError(f"cannot write the record {path} ({error.strerror or error}): is the disk full?") from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+    return read(path)
+
+
+def read(path: Path | str) -> Record:
+    """Return the record at ``path`` after verifying it.
+
+    Raises:
+        RecordError: if it is missing, damaged, altered, or of another schema version.
+    """
+    path = Path(path)
+    remedy = "restore it from version control, or delete it and run its unit again"
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        header = json.loads(arrays.pop(HEADER).tobytes())
+    except FileNotFoundError:
+        raise RecordError(f"there is no record {path}") from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        raise RecordError(f"the record {path} cannot be read ({error}): {remedy}") from error
+    if not isinstance(header, dict) or header.get("schema") != SCHEMA:
+        found = header.get("schema") if isinstance(header, dict) else None
+        raise RecordError(f"the record {path} has schema version {found}, this program reads {SCHEMA}: use a version to match")
+    missing = [key for key in REQUIRED if key not in header]
+    if missing:
+        raise RecordError(f"the header of {path} lacks {', '.join(missing)}: {remedy}")
+    if header["checksum"] != checksum(arrays):
+        raise RecordError(f"the arrays of {path} do not match their checksum: {remedy}")
+    if header["config_hash"] != config_hash(header["config"]):
+        raise RecordError(f"the config of {path} does not match its hash: {remedy}")
+    return Record(header, arrays, path)
+
+
+def find(experiment: str, config: Any = None, *, name: str | None = None, folder: Path | None = None) -> list[Record]:
+    """Return the records of an experiment, ordered by path; optionally of one named config or one config's content.
+
+    Raises:
+        RecordError: if one of them cannot be trusted.
+    """
+    base = (folder or root()) / experiment / (name or "")
+    found = [read(path) for path in sorted(base.rglob("*.npz")) if not path.name.startswith(".")]
+    if name is not None:
+        found = [record for record in found if record.header["name"] == name]
+    if config is not None:
+        found = [record for record in found if record.header["config_hash"] == config_hash(config)]
+    return found
+
+
+def verify(folder: Path | None = None) -> list[tuple[Path, str | None]]:
+    """Return every record file below ``folder`` with None, or the sentence that says what is wrong with it."""
+    folder, results = folder or root(), []
+    for path in sorted(folder.rglob("*.npz")):
+        try:
+            read(path)
+            results.append((path, None))
+        except RecordError as error:
+            results.append((path, str(error)))
+    return results

@@ -1,0 +1,40 @@
+"""Named random streams: every number drawn in this project comes from a generator made here.
+
+A stream is a pure function of a seed and a path of names and counters, such as ``generator(3, "masks", 17)``. Nothing
+has to be saved to continue a killed run, since a counter in the path says how far it had come, and no function touches
+the global random state.
+"""
+
+import hashlib
+from collections.abc import Callable, Iterable
+
+import torch
+from torch import Generator, Tensor
+
+__all__ = ["generator", "stacked"]
+
+
+def generator(seed: int, *path: str | int, device: str | torch.device = "cpu") -> Generator:
+    """Return the generator of one stream, independent of every other (seed, path).
+
+    ``path`` names the purpose ("init", "data", "masks", "policy", "environment") and, where a run draws in blocks, the
+    number of the block. The same arguments give the same stream on the same device type.
+
+    Raises:
+        ValueError: if ``seed`` is not an integer of at least 0.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ValueError(f"a seed is an integer of at least 0, got {seed!r}")
+    # Hashing, rather than seed + counter, keeps streams apart whose seeds and counters are close.
+    digest = hashlib.sha256(repr((seed, *path)).encode()).digest()
+    return Generator(device=device).manual_seed(int.from_bytes(digest[:8], "little"))
+
+
+def stacked(
+    draw: Callable[[Generator], Tensor], seeds: Iterable[int], *path: str | int, device: str | torch.device = "cpu"
+) -> Tensor:
+    """Return ``draw`` applied to the stream of each replica, stacked to shape [R, ...].
+
+    A replica gets the same numbers alone as among others, because each seed has streams of its own.
+    """
+    return torch.stack([draw(generator(seed, *path, device=device)) for seed in seeds])
