@@ -1,9 +1,10 @@
-"""The cart-pole swing-up plant of thesis section 5.4: exact equations of motion in SI units, integrated under a zero-order hold.
+"""The cart-pole of thesis section 5.4: exact equations of motion in SI units under a zero-order hold.
 
-State, last axis: cart position x [m], cart velocity v [m/s], pole angular velocity w [rad/s], pole angle theta [rad].
-theta = 0 is upright and pi hangs, counter-clockwise positive, so the tip stands at (x - l sin theta, l cos theta); the angle
-is not wrapped. The pole is a uniform rod on a frictionless pivot, the cart has viscous friction with the ground.
-Everything is batched over leading axes (replicas R first, then particles K) and differentiable.
+State, last axis: cart position x [m], cart velocity v [m/s], pole angular velocity w [rad/s], pole angle
+theta [rad]. theta = 0 is upright and pi hangs, counter-clockwise positive, so the tip stands at (x - l sin
+theta, l cos theta); the angle is not wrapped. The pole is a uniform rod on a frictionless pivot, the cart has
+viscous friction with the ground. Everything is batched over leading axes (replicas R first, then particles K)
+and differentiable.
 """
 
 from collections.abc import Callable
@@ -13,9 +14,9 @@ import torch
 from jaxtyping import Float
 from torch import Generator, Tensor
 
-# Runge-Kutta steps per control interval of 0.1 s. Against the original's adaptive integrator (tolerance 1e-12) the largest
-# one-interval error over all recorded states, where the pole tumbles at up to 33 rad/s, is 4e-4 with 10 steps, 4e-6 with 32
-# and 4e-8 with 96; below 10 rad/s 10 steps already give 3e-6.
+# Runge-Kutta steps per control interval of 0.1 s. Against the original's adaptive integrator (tolerance
+# 1e-12) the largest one-interval error over all recorded states, where the pole tumbles at up to 33 rad/s, is
+# 4e-4 with 10 steps, 4e-6 with 32 and 4e-8 with 96; below 10 rad/s 10 steps already give 3e-6.
 SUBSTEPS = 96
 
 STATE_NAMES = ("x", "v", "w", "theta")
@@ -24,7 +25,7 @@ FEATURE_NAMES = ("x", "v", "w", "sin theta", "cos theta")
 
 @dataclass(frozen=True)
 class CartPole:
-    """A plant: physical constants, the length of a trial and the start distribution. Named ones are in `PRESETS`."""
+    """A plant: constants, length of a trial, start distribution. Named ones are in `PRESETS`."""
 
     pole_length: float  # full length l of the rod [m]
     steps: int  # control steps T of one trial
@@ -43,7 +44,8 @@ class CartPole:
     start_mean: tuple[float, float, float, float] = (0.0, 0.0, 0.0, torch.pi)  # at rest, hanging
 
 
-# As two re-implementations written from the Deep PILCO paper have it, and as thesis figure 5.8 fits (10 steps are 1 s).
+# As two re-implementations written from the Deep PILCO paper have it, and as thesis figure 5.8 fits (10 steps
+# are 1 s).
 PAPER = CartPole(pole_length=0.6, steps=25, start_std=0.02, solved_steps=5)
 # The cart-pole scenario of the original PILCO code (pilco-matlab, scenarios/cartPole/settings_cp.m).
 MATLAB = CartPole(pole_length=0.5, steps=40, start_std=0.1, solved_steps=10)
@@ -64,7 +66,7 @@ def preset(name: str) -> CartPole:
 def derivative(
     plant: CartPole, state: Float[Tensor, "*batch 4"], force: Float[Tensor, "*batch"]
 ) -> Float[Tensor, "*batch 4"]:
-    """Return the time derivative of the state [m/s, m/s^2, rad/s^2, rad/s] under a horizontal force [N] on the cart."""
+    """Return the time derivative of the state under a horizontal force [N] on the cart."""
     _, v, w, theta = state.unbind(-1)
     m, total, length, g = plant.pole_mass, plant.cart_mass + plant.pole_mass, plant.pole_length, plant.gravity
     sin, cos = theta.sin(), theta.cos()
@@ -77,7 +79,7 @@ def derivative(
 
 
 def step(plant: CartPole, state: Tensor, force: Tensor, substeps: int = SUBSTEPS) -> Tensor:
-    """Return the state one control interval later, the force held constant: `substeps` Runge-Kutta steps of order 4.
+    """Return the state one control interval later: Runge-Kutta steps of order 4 under a constant force.
 
     Args:
         plant: the physical constants.
@@ -89,9 +91,7 @@ def step(plant: CartPole, state: Tensor, force: Tensor, substeps: int = SUBSTEPS
         ValueError: if the last axis of the state is not (x, v, w, theta).
     """
     if state.shape[-1:] != (4,):
-        raise ValueError(
-            f"expected states (x, v, w, theta) along the last axis, got an array of shape {tuple(state.shape)}"
-        )
+        raise ValueError(f"expected states (x, v, w, theta) along the last axis, got shape {tuple(state.shape)}")
     h = plant.dt / substeps
     for _ in range(substeps):
         k1 = derivative(plant, state, force)
@@ -103,12 +103,10 @@ def step(plant: CartPole, state: Tensor, force: Tensor, substeps: int = SUBSTEPS
 
 
 def energy(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
-    """Return the mechanical energy [J] of cart and rod; zero for the pole at rest and level with the pivot."""
+    """Return the mechanical energy [J]; zero for the pole at rest and level with the pivot."""
     _, v, w, theta = state.unbind(-1)
     m, length = plant.pole_mass, plant.pole_length
-    kinetic = (
-        (plant.cart_mass + m) * v**2 / 2 - m * length * v * w * theta.cos() / 2 + m * length**2 * w**2 / 6
-    )
+    kinetic = (plant.cart_mass + m) * v**2 / 2 - m * length * v * w * theta.cos() / 2 + m * length**2 * w**2 / 6
     return kinetic + m * plant.gravity * length * theta.cos() / 2
 
 
@@ -119,7 +117,7 @@ def tip(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*ba
 
 
 def features(state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 5"]:
-    """Return (x, v, w, sin theta, cos theta): what controllers and dynamics models are given instead of the angle."""
+    """Return (x, v, w, sin theta, cos theta): what controllers and models are given for the angle."""
     return torch.cat((state[..., :3], state[..., 3:].sin(), state[..., 3:].cos()), -1)
 
 
@@ -135,9 +133,7 @@ def observation_noise(
     plant: CartPole, shape: tuple[int, ...], generator: Generator, dtype=torch.float64
 ) -> Float[Tensor, "*shape 4"]:
     """Return draws of the noise added to true states to make observed ones."""
-    return plant.observation_noise * torch.randn(
-        *shape, 4, generator=generator, dtype=dtype, device=generator.device
-    )
+    return plant.observation_noise * torch.randn(*shape, 4, generator=generator, dtype=dtype, device=generator.device)
 
 
 @dataclass(frozen=True)
@@ -161,7 +157,8 @@ def rollout(
         plant: the physical constants.
         start: the true states at time 0.
         act: gives the force [N] from the observed state [..., 4] and the step; clipped to the plant's limit.
-        noise: [..., T + 1, 4] observation noise, drawn ahead of time. Controller and model see the same noisy state.
+        noise: [..., T + 1, 4] observation noise, drawn ahead of time. Controller and model see the same noisy
+            state.
 
     Raises:
         ValueError: if the shapes disagree or a force is not finite.
@@ -173,9 +170,7 @@ def rollout(
     for t in range(plant.steps):
         force = act(states[-1] + noise[..., t, :], t).clamp(-plant.force_limit, plant.force_limit)
         if not force.isfinite().all():
-            raise ValueError(
-                f"expected finite forces, got a NaN or infinity at step {t}; check the controller's parameters"
-            )
+            raise ValueError(f"expected finite forces, got NaN or infinity at step {t}; look at the controller")
         forces.append(force)
         states.append(step(plant, states[-1], force))
     states = torch.stack(states, -2)

@@ -1,7 +1,8 @@
-"""Controllers: features of the observed state in, a squashed force out; for points, batches and Gaussian inputs.
+"""Controllers: features of the observed state in, a squashed force out; for points and Gaussians.
 
-A controller is a value, a frozen dataclass of tensors with the replica axis R first, so that an optimiser can build one
-from any vector of parameters. Calling it gives the preliminary output, before the squash; `force` applies both.
+A controller is a value, a frozen dataclass of tensors with the replica axis R first, so that an optimiser can
+build one from any vector of parameters. Calling it gives the preliminary output, before the squash; `force`
+applies both.
 """
 
 from dataclasses import dataclass
@@ -21,10 +22,12 @@ from dropout_uncertainty.data_efficiency.moment_matching import (
     squared_exponential,
 )
 
-# The original controller is the posterior mean of a Gaussian process whose signal and noise standard deviations are fixed
-# to 1 and this (pilco-matlab, control/congp.m); only their ratio matters for the weights.
+# The original controller is the posterior mean of a Gaussian process whose signal and noise standard
+# deviations are fixed to 1 and this (pilco-matlab, control/congp.m); only their ratio matters for the
+# weights.
 NOISE_STD = 0.01
-# Added to the variance of the preliminary output, as in the original (gp/gp2.m); keeps it positive for a certain state.
+# Added to the variance of the preliminary output, as in the original (gp/gp2.m); keeps it positive for a
+# certain state.
 VARIANCE_JITTER = 1e-6
 
 
@@ -40,7 +43,7 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class RBFController:
-    """A weighted sum of N squared-exponential basis functions of height 1, one set of length-scales per output."""
+    """A weighted sum of N squared-exponential basis functions of height 1, with length-scales per output."""
 
     centres: Float[Tensor, "R N D"]
     log_length_scales: Float[Tensor, "R F D"]
@@ -53,12 +56,9 @@ class RBFController:
         log_length_scales: Float[Tensor, "R F D"],
         targets: Float[Tensor, "R F N"],
     ) -> "RBFController":
-        """Return the posterior mean of a Gaussian process that saw `targets` at `centres`: PILCO's parametrisation."""
+        """Return the posterior mean of a process that saw `targets` at `centres`, as PILCO does."""
         noise = NOISE_STD**2 * torch.eye(centres.shape[-2], dtype=centres.dtype, device=centres.device)
-        gram = (
-            squared_exponential(centres, centres, log_length_scales, torch.zeros_like(targets[..., 0]))
-            + noise
-        )
+        gram = squared_exponential(centres, centres, log_length_scales, torch.zeros_like(targets[..., 0])) + noise
         weights = torch.cholesky_solve(targets[..., None], torch.linalg.cholesky(gram))[..., 0]
         return cls(centres, log_length_scales, weights)
 
@@ -95,7 +95,7 @@ class LinearController:
 
 
 def squash(u: Float[Tensor, "*batch"], limit: float) -> Float[Tensor, "*batch"]:
-    """Return limit (9 sin u + sin 3u) / 8: within [-limit, limit], of slope 3/2 limit at 0 and very flat at its extremes."""
+    """Return limit (9 sin u + sin 3u) / 8, which is within [-limit, limit] and flat at its extremes."""
     return limit / 8 * (9 * u.sin() + (3 * u).sin())
 
 
@@ -108,13 +108,13 @@ def squash_moments(u: Gaussian, limit: float) -> Moments:
     return Moments(squashed.mean, squashed.cov, harmonics.slope @ sines.slope @ squashed.slope)
 
 
-def force(controller: Controller, plant: CartPole, state: Float[Tensor, "R *K 4"]) -> Float[Tensor, "R *K"]:
+def force(controller: Controller, plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
     """Return the squashed force [N] for (observed) states, within the plant's limit."""
     return squash(controller(features(state))[..., 0], plant.force_limit)
 
 
 def force_moments(controller: Controller, limit: float, x: Gaussian) -> Moments:
-    """Return the moments of the squashed output for Gaussian features, the preliminary output matched by a Gaussian."""
+    """Return the moments of the squashed output, the preliminary one matched by a Gaussian."""
     preliminary = controller.moments(x)
     squashed = squash_moments(preliminary.out, limit)
     return Moments(squashed.mean, squashed.cov, preliminary.slope @ squashed.slope)

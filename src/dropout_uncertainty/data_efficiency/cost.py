@@ -1,8 +1,9 @@
-"""The saturating cost of the pole's tip: for a point, its moments for a Gaussian state, and what "solved" means.
+"""The saturating cost of the pole's tip for a point or a Gaussian state, and what "solved" means.
 
-cost = 1 - exp(-d^2 / (2 width^2)), where d [m] is the distance of the tip from its place when the pole stands upright over
-the middle of the track (the black cross of thesis figure 5.6). It is 0 there and 1 far away. The cost is flat far from the
-goal; only the spread of an uncertain state gives it a slope there, which is why its expectation is what PILCO minimises.
+cost = 1 - exp(-d^2 / (2 width^2)), where d [m] is the distance of the tip from its place when the pole stands
+upright over the middle of the track (the black cross of thesis figure 5.6). It is 0 there and 1 far away. The
+cost is flat far from the goal; only the spread of an uncertain state gives it a slope there, which is why its
+expectation is what PILCO minimises.
 """
 
 import torch
@@ -12,7 +13,8 @@ from torch import Tensor
 from dropout_uncertainty.data_efficiency.cartpole import CartPole, tip
 from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, feature_moments
 
-SOLVED_BELOW = 0.2  # a trial is solved when the mean cost of its last second (`matlab`) or half second (`paper`) is below this
+# A trial is solved when the mean cost of its last second (`matlab`) or half second (`paper`) is below this.
+SOLVED_BELOW = 0.2
 
 
 def cost(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
@@ -23,7 +25,7 @@ def cost(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*b
 
 
 def cost_moments(plant: CartPole, state: Gaussian) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-    """Return mean and variance of the cost of a Gaussian state (x, v, w, theta), sine and cosine matched by a Gaussian."""
+    """Return mean and variance of the cost of a Gaussian state, its features matched by a Gaussian."""
     length = plant.pole_length
     # rows: horizontal and vertical distance of the tip from its goal, in widths, as functions of the features
     factor = state.mean.new_tensor([[1.0, 0, 0, -length, 0], [0, 0, 0, 0, length]]) / plant.cost_width

@@ -1,17 +1,25 @@
-"""Exact moments of nonlinear functions of a Gaussian input: sines, features of the state, squared-exponential functions.
+"""Exact moments of nonlinear functions of a Gaussian: sines, features, squared-exponential functions.
 
-Every function takes a `Gaussian` and returns `Moments` of its output: mean, covariance and *slope*, the expected Jacobian
-E[d output / d input]. For a Gaussian input of covariance S the covariance of input and output is S @ slope (Stein's lemma),
-which holds for S = 0 too, and slopes of a chain of functions multiply. Leading axes are batch axes, replicas R first.
-Formulas: Deisenroth, Efficient Reinforcement Learning using Gaussian Processes (2010), section 2.3 and appendix A.
+Every function takes a `Gaussian` and returns `Moments` of its output: mean, covariance and *slope*, the
+expected Jacobian E[d output / d input]. For a Gaussian input of covariance S the covariance of input and
+output is S @ slope (Stein's lemma), which holds for S = 0 too, and slopes of a chain of functions multiply.
+Leading axes are batch axes, replicas R first.
+Formulas: Deisenroth, Efficient Reinforcement Learning using Gaussian Processes (2010), section 2.3 and
+    appendix A.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+
+# Numbers of a block of N x N arrays worked on at once: 1 MiB of float64, the second-level cache of a current
+# core.
+BLOCK = 2**17
 
 
 class Gaussian(NamedTuple):
@@ -22,7 +30,7 @@ class Gaussian(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """What a function makes of a Gaussian of D dimensions: mean [..., E], cov [..., E, E] and slope [..., D, E]."""
+    """What a function makes of a Gaussian: mean [..., E], cov [..., E, E] and slope [..., D, E]."""
 
     mean: Tensor
     cov: Tensor
@@ -52,7 +60,7 @@ def sine_moments(x: Gaussian) -> Moments:
 
 
 def feature_moments(state: Gaussian) -> Moments:
-    """Return the moments of the features (x, v, w, sin theta, cos theta) of a Gaussian state (x, v, w, theta)."""
+    """Return the moments of (x, v, w, sin theta, cos theta) of a Gaussian state (x, v, w, theta)."""
     theta = Gaussian(state.mean[..., 3:], state.cov[..., 3:, 3:])
     twice = torch.ones_like(theta.mean[..., None]).expand(*theta.mean.shape, 2)
     quarter = theta.mean.new_tensor([0.0, torch.pi / 2])
@@ -71,8 +79,9 @@ def feature_moments(state: Gaussian) -> Moments:
 class SquaredExponential:
     """E functions of D inputs, each a weighted sum of N squared-exponential functions around shared centres.
 
-    Function e is s_e^2 sum_n weights[e, n] exp(-|(x - centre_n) / l_e|^2 / 2). With `precision` it is the posterior of a
-    Gaussian process: k(x, x) - k(x, centres) precision_e k(centres, x) is its own uncertainty at x.
+    Function e is s_e^2 sum_n weights[e, n] exp(-|(x - centre_n) / l_e|^2 / 2). With `precision` it is the
+    posterior of a Gaussian process: k(x, x) - k(x, centres) precision_e k(centres, x) is its own uncertainty
+    at x.
     """
 
     centres: Float[Tensor, "R N D"]
@@ -89,6 +98,16 @@ class SquaredExponential:
         if got != expected:
             raise ValueError(f"expected length-scales, signal and weights of shapes {expected}, got {got}")
 
+    @cached_property
+    def inverse_square(self) -> Tensor:
+        """The inverse squared length-scales [R, E, D]."""
+        return torch.exp(-2 * self.log_length_scales)
+
+    @cached_property
+    def curvature(self) -> Tensor:
+        """The outer product of the weights less the precision [R, E, N, N]."""
+        return self.weights[..., :, None] * self.weights[..., None, :] - self.precision
+
     def __call__(self, x: Float[Tensor, "R *K D"]) -> Float[Tensor, "R *K E"]:
         """Return the functions' (mean) values at points."""
         values = (self.kernel(x.reshape(len(x), -1, x.shape[-1])) @ self.weights[..., None])[..., 0]
@@ -99,15 +118,16 @@ class SquaredExponential:
         return squared_exponential(x, self.centres, self.log_length_scales, self.log_signal_std)
 
     def moments(self, x: Gaussian) -> Moments:
-        """Return the moments for a Gaussian input, function uncertainty included where there is a `precision`.
+        """Return the moments for a Gaussian input, with function uncertainty if there is a `precision`.
 
         Gradients with respect to the functions' own parameters exist only without `precision`.
         """
-        difference = self.centres - x.mean[..., None, :]  # [R, N, D]
+        difference = self.centres - x.mean[..., None, :]
         mean, slope = _expectation(self, difference, x.cov)
-        second = (
-            _second_moments(self, difference, x.cov) if self.precision is None else _posterior_second(self, x)
-        )
+        if self.precision is None:
+            second = _second_moment(self, difference, x.cov)
+        else:
+            second = PosteriorSecondMoment.apply(x.mean, x.cov, self)
         return Moments(mean, second - mean[..., :, None] * mean[..., None, :], slope)
 
 
@@ -129,23 +149,18 @@ def _expectation(f: SquaredExponential, difference: Tensor, cov: Tensor) -> tupl
     scaled = difference[:, None] * inverse[..., None, :]  # [R, E, N, D]
     solved = torch.cholesky_solve(scaled.mT, factor).mT
     log_det = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-    height = (
-        torch.exp((2 * f.log_signal_std - log_det)[..., None] - (scaled * solved).sum(-1) / 2) * f.weights
-    )
+    height = torch.exp((2 * f.log_signal_std - log_det)[..., None] - (scaled * solved).sum(-1) / 2) * f.weights
     slope = (height[..., None, :] @ solved)[..., 0, :] * inverse
     return height.sum(-1), slope.mT
 
 
-def _second_moments(f: SquaredExponential, difference: Tensor, cov: Tensor) -> Tensor:
+def _second_moment(f: SquaredExponential, difference: Tensor, cov: Tensor) -> Tensor:
     """Return E f_i f_j [R, E, E]: the plain formula, with gradients with respect to everything."""
     precision = torch.exp(-2 * f.log_length_scales)
     scaled = difference[:, None] * precision[..., None, :]  # [R, E, N, D]
     log_height = 2 * f.log_signal_std[..., None] - (scaled * difference[:, None]).sum(-1) / 2
     total = precision[:, :, None] + precision[:, None]  # [R, E, E, D]
-    system = (
-        torch.eye(cov.shape[-1], dtype=cov.dtype, device=cov.device)
-        + cov[:, None, None] * total[..., None, :]
-    )
+    system = torch.eye(cov.shape[-1], dtype=cov.dtype, device=cov.device) + cov[:, None, None] * total[..., None, :]
     gain = torch.linalg.solve(system, cov[:, None, None].expand_as(system))
     left = scaled[:, :, None] @ gain  # [R, E, E, N, D]
     own = (left * scaled[:, :, None]).sum(-1) / 2
@@ -154,3 +169,102 @@ def _second_moments(f: SquaredExponential, difference: Tensor, cov: Tensor) -> T
     product = torch.exp(exponent + left @ scaled[:, None].mT)
     sums = (f.weights[:, :, None, None] @ product @ f.weights[:, None, ..., None])[..., 0, 0]
     return sums / torch.linalg.det(system).sqrt()
+
+
+class PosteriorSecondMoment(torch.autograd.Function):
+    """E f_i f_j [R, E, E] under a Gaussian input and the posterior over f: the part of PILCO that grows with N^2.
+
+    For outputs i <= j it sums W_nm = G_nm exp(e_nm), where G = weights_i weights_j' (less the precision where
+    i = j) and e is a quadratic form in the differences z_n, z_m of the centres to the input's mean.
+    Everything that the gradient needs are the sums of W, W z, z W z' over n and m, so these are taken while a
+    block of W is in the cache and no N x N array is kept. Only mean and covariance of the input get
+    gradients.
+    """
+
+    @staticmethod
+    def forward(ctx, mean: Tensor, cov: Tensor, f: SquaredExponential) -> Tensor:
+        """Return the second moments and keep their gradients for the backward pass."""
+        replicas, outputs = f.log_signal_std.shape
+        first, second = _pairs(outputs, mean.device)
+        total = f.inverse_square[:, first] + f.inverse_square[:, second]  # [R, P, D]
+        root = total.sqrt()
+        system = root[..., :, None] * cov[:, None] * root[..., None, :]
+        system.diagonal(dim1=-2, dim2=-1).add_(1)
+        factor = torch.linalg.cholesky_ex(system).L
+        shrink = torch.cholesky_inverse(factor) / root[..., :, None] * root[..., None, :]  # (I + cov total)^-1
+        gain = shrink @ cov[:, None]
+
+        z = f.centres - mean[:, None]
+        scaled = z[:, None] * f.inverse_square[..., None, :]  # [R, E, N, D]
+        log_height = 2 * f.log_signal_std[..., None] - (scaled * z[:, None]).sum(-1) / 2
+        left, right = scaled[:, first], scaled[:, second]
+        bent = left @ gain
+        own = log_height[:, first] + (bent * left).sum(-1) / 2
+        own = own - factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)[..., None]
+        other = log_height[:, second] + ((right @ gain) * right).sum(-1) / 2
+        ones = torch.ones_like(own[..., None])
+        row = torch.cat((bent, own[..., None], ones), -1)
+        column = torch.cat((right, ones, other[..., None]), -1)
+        basis = torch.cat((torch.ones_like(z[..., :1]), z), -1)  # [R, N, 1 + D]
+
+        sums, weight_n, weight_m = _weighted_sums(f, row, column, basis, first, second)
+        spread_n, spread_m = ((z.mT[:, None] * w[..., None, :]) @ z[:, None] for w in (weight_n, weight_m))
+        li, lj = f.inverse_square[:, first], f.inverse_square[:, second]
+        linear = li * sums[..., 1:, 0] + lj * sums[..., 0, 1:]
+        mixed = li[..., :, None] * sums[..., 1:, 1:] * lj[..., None, :]
+        square = li[..., :, None] * spread_n * li[..., None, :] + lj[..., :, None] * spread_m * lj[..., None, :]
+        square = square + mixed + mixed.mT
+        value = sums[..., 0, 0]
+        d_mean = (shrink.mT @ linear[..., None])[..., 0]
+        d_cov = (shrink.mT @ square @ shrink - value[..., None, None] * total[..., :, None] * shrink) / 2
+        ctx.save_for_backward(d_mean, d_cov)
+        result = mean.new_zeros(replicas, outputs, outputs)
+        result[:, first, second] = value
+        result[:, second, first] = value
+        result.diagonal(dim1=-2, dim2=-1).add_(torch.exp(2 * f.log_signal_std))
+        return result
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, grad: Tensor) -> tuple[Tensor, Tensor, None]:
+        """Contract the kept gradients."""
+        d_mean, d_cov = ctx.saved_tensors
+        first, second = _pairs(grad.shape[-1], grad.device)
+        share = (grad + grad.mT)[:, first, second] * torch.where(first == second, 0.5, 1.0)
+        return (share[..., None] * d_mean).sum(1), (share[..., None, None] * d_cov).sum(1), None
+
+
+def _pairs(outputs: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Return the output pairs i <= j, those with i = j first."""
+    first, second = torch.triu_indices(outputs, outputs, 1, device=device)
+    same = torch.arange(outputs, device=device)
+    return torch.cat((same, first)), torch.cat((same, second))
+
+
+def _weighted_sums(f: SquaredExponential, row, column, basis, first, second) -> tuple[Tensor, Tensor, Tensor]:
+    """Return sums [R, P, 1 + D, 1 + D] of W_nm basis_n basis_m', and the sums of W over m and over n [R, P, N]."""
+    replicas, pairs, count, _ = row.shape
+    weighted_m = f.weights[:, second][..., None] * basis[:, None]
+    weighted_n = f.weights[:, first][..., None] * basis[:, None]
+    sums = row.new_empty(replicas, pairs, basis.shape[-1], basis.shape[-1])
+    over_m, over_n = row.new_empty(replicas, pairs, count), row.new_empty(replicas, pairs, count)
+    outputs = f.weights.shape[1]
+    for r in _blocks(replicas, count * count):
+        for p in _blocks(outputs, (r.stop - r.start) * count * count):
+            w = torch.exp_(row[r, p] @ column[r, p].mT).mul_(f.curvature[r, p])
+            product = w @ basis[r, None]
+            sums[r, p] = basis[r, None].mT @ product
+            over_m[r, p] = over_n[r, p] = product[..., 0]
+        for p in _blocks(pairs - outputs, (r.stop - r.start) * count * count, outputs):
+            w = torch.exp_(row[r, p] @ column[r, p].mT)
+            product = w @ weighted_m[r, p]
+            sums[r, p] = weighted_n[r, p].mT @ product
+            over_m[r, p] = f.weights[r, first[p]] * product[..., 0]
+            over_n[r, p] = f.weights[r, second[p]] * (weighted_n[r, p, :, :1].mT @ w)[..., 0, :]
+    return sums, over_m, over_n
+
+
+def _blocks(count: int, size: int, start: int = 0) -> list[slice]:
+    """Cut count entries of `size` numbers into slices that stay in the processor's cache."""
+    width = max(1, BLOCK // size)
+    return [slice(start + i, start + min(i + width, count)) for i in range(0, count, width)]

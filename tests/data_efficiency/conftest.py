@@ -1,0 +1,70 @@
+"""The golden vectors of the original PILCO code as float64 tensors, and how they are compared."""
+
+import gzip
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "pilco_golden.json.gz"
+
+
+@pytest.fixture(scope="session")
+def golden():
+    """Return cases(name): a list of dicts of float64 tensors, vectors flattened."""
+    data = json.loads(gzip.decompress(GOLDEN.read_bytes()))
+
+    def cases(name):
+        return [{key: _tensor(value) for key, value in case.items()} for case in data[name]]
+
+    return cases
+
+
+def _tensor(value):
+    if isinstance(value, str):
+        return value
+    return torch.tensor(value, dtype=torch.float64)
+
+
+class Derivatives:
+    """Jacobians in the layout of the golden data: matrices column by column, symmetric inputs symmetrised."""
+
+    @staticmethod
+    def flat(x):
+        """Column-major vec of the trailing one or two axes."""
+        return x.mT.reshape(-1) if x.ndim == 2 else x.reshape(-1)
+
+    @classmethod
+    def jacobian(cls, function, x, symmetric=False):
+        """Return d vec(function(x)) / d vec(x)."""
+        jac = torch.autograd.functional.jacobian(lambda x: cls.flat(function(x)), x)
+        if x.ndim == 2:
+            jac = (
+                cls.symmetrise(jac.mT.reshape(len(jac), -1), x.shape[0]) if symmetric else jac.mT.reshape(len(jac), -1)
+            )
+        return jac
+
+    @staticmethod
+    def symmetrise(jac, size):
+        """Average d . / d s[c, d] and d . / d s[d, c]."""
+        jac = jac.reshape(-1, size, size)
+        return ((jac + jac.mT) / 2).reshape(len(jac), -1)
+
+
+@pytest.fixture(scope="session")
+def derivatives():
+    return Derivatives
+
+
+@pytest.fixture(scope="session")
+def close():
+    """Return close(got, expected, tolerance): relative to the largest entry of the expected array."""
+
+    def compare(got, expected, tolerance=1e-9, name=""):
+        got, expected = got.detach().reshape(-1), expected.reshape(-1)
+        scale = max(expected.abs().max().item(), 1e-12)
+        error = (got - expected).abs().max().item() / scale
+        assert error <= tolerance, f"{name}: relative error {error:.1e} above {tolerance:.0e}"
+
+    return compare
