@@ -15,6 +15,8 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from dropout_uncertainty.errors import UserError
+
 __all__ = ["PROFILES", "BookError", "build", "notebooks", "run_notebooks"]
 
 PROFILES = ("recorded", "quick", "full")
@@ -26,7 +28,7 @@ EXECUTED, RUNNING, SOURCE, HTML = BUILD / "notebooks", BUILD / "running", BUILD 
 LOG = BUILD / "jupyter-book.log"
 
 
-class BookError(RuntimeError):
+class BookError(UserError):
     """The book could not be made; the message says which notebook or page and why."""
 
 

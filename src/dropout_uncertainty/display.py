@@ -95,7 +95,7 @@ def _details(records: Sequence[Record]) -> str:
     header = records[0].header
     seeds = _ranges(sorted({seed for record in records for seed in record.header["seeds"]}))
     command = f"dropout-uncertainty run {header['experiment']} --config {header['name']} --seeds {seeds}"
-    files = ", ".join(f"`{record.path.name}`" for record in records)
+    files = ", ".join(f"`{record.label}`" for record in records)
     config = json.dumps(header["config"], indent=1, ensure_ascii=False)
     return (
         f"**{header['experiment']}/{header['name']}**: {_origin(records)}. Files: {files}.\n\n"

@@ -1,7 +1,9 @@
 """What the book needs from Sphinx beyond its configuration: offline formulas, the thesis's numbers, clean roles."""
 
+import pkgutil
 import re
 import shutil
+from importlib import import_module
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
@@ -20,10 +22,23 @@ MATHJAX = "mathjax/tex-svg.js"
 def setup(app: Sphinx) -> dict[str, Any]:
     """Connect the parts to Sphinx."""
     app.connect("config-inited", lambda _app, config: setattr(config, "mathjax_path", MATHJAX))
+    app.connect("source-read", list_modules)
     app.connect("build-finished", copy_mathjax)
     app.connect("env-get-updated", number_algorithms, priority=900)
     app.connect("html-page-context", mend_roles, priority=900)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def list_modules(app: Sphinx, page: str, source: list[str]) -> None:
+    """Replace the line ``[modules of PACKAGE]`` by the documentation of its modules, so that none is forgotten."""
+
+    def entries(match: re.Match[str]) -> str:
+        package = import_module(match[1])
+        modules = [module.name for module in pkgutil.iter_modules(package.__path__) if not module.ispkg]
+        directive = "## {0}\n\n```{{eval-rst}}\n.. automodule:: {1}.{0}\n   :members:\n```\n"
+        return "\n".join(directive.format(name, match[1]) for name in modules if not name.startswith("__"))
+
+    source[0] = re.sub(r"^\[modules of ([\w.]+)\]$", entries, source[0], flags=re.MULTILINE)
 
 
 def copy_mathjax(app: Sphinx, exception: Exception | None) -> None:
