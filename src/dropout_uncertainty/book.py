@@ -6,6 +6,7 @@ executed notebooks side by side) and ``html/``. What an interrupted run leaves b
 
 import ast
 import contextlib
+import re
 import shutil
 import subprocess
 import sys
@@ -94,9 +95,13 @@ def _execute(name: str, profile: str) -> float:
     parameters = {key: ast.literal_eval(value["default"]) for key, value in known.items()} | {"profile": profile}
     begin = time.monotonic()
     try:
-        # cwd: where JupyterLab runs a notebook too
         papermill.execute_notebook(
-            str(source), str(running), parameters, cwd=str(NOTEBOOKS), progress_bar=sys.stderr.isatty()
+            str(source),
+            str(running),
+            parameters,
+            cwd=str(NOTEBOOKS),  # as in JupyterLab
+            progress_bar=sys.stderr.isatty(),
+            extra_arguments=["--log-level=ERROR"],  # the kernel warns of every connection that is not encrypted
         )
     except papermill.PapermillExecutionError as error:
         first_line = next(iter(error.source.strip().splitlines()), "")
@@ -146,7 +151,7 @@ def _build_html() -> None:
     with LOG.open("w", encoding="utf-8") as log:
         outcome = subprocess.run([str(script), *arguments], stdout=log, stderr=subprocess.STDOUT, check=False)
     if outcome.returncode != 0:
-        lines = LOG.read_text(encoding="utf-8").splitlines()
+        lines = re.sub(r"\x1b\[[\d;]*m", "", LOG.read_text(encoding="utf-8")).splitlines()
         reasons = [line for line in lines if "WARNING" in line or "ERROR" in line] or lines[-10:]
         raise BookError("\n".join([f"jupyter-book stopped; all it said is in {LOG}:", *reasons]))
 

@@ -23,6 +23,8 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Connect the parts to Sphinx."""
     app.connect("config-inited", lambda _app, config: setattr(config, "mathjax_path", MATHJAX))
     app.connect("source-read", list_modules)
+    app.connect("autodoc-process-docstring", keep_lines, priority=400)
+    app.connect("autodoc-process-docstring", restore_lines, priority=600)
     app.connect("build-finished", copy_mathjax)
     app.connect("env-get-updated", number_algorithms, priority=900)
     app.connect("html-page-context", mend_roles, priority=900)
@@ -39,6 +41,17 @@ def list_modules(app: Sphinx, page: str, source: list[str]) -> None:
         return "\n".join(directive.format(name, match[1]) for name in modules if not name.startswith("__"))
 
     source[0] = re.sub(r"^\[modules of ([\w.]+)\]$", entries, source[0], flags=re.MULTILINE)
+
+
+def keep_lines(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Remember how a docstring reads before napoleon, which takes "Decay: c / N" for a type and its description."""
+    app.env.temp_data["docstring"] = list(lines)
+
+
+def restore_lines(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Give the description of an attribute its own words back; types come from the annotations."""
+    if what in ("attribute", "data", "property"):
+        lines[:] = app.env.temp_data["docstring"]
 
 
 def copy_mathjax(app: Sphinx, exception: Exception | None) -> None:
