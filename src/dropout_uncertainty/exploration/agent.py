@@ -1,0 +1,186 @@
+"""An agent of section 5.3: eyes in, action out, learning at every tick; R replicas of it at once.
+
+In one tick the demo acts on the Q-network, then learns from a minibatch. Both read the same weights, and the transition
+that ends in the present state is complete before the action is chosen. So one forward pass serves both: the minibatch
+and the present state go through the network together.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dropout_uncertainty import rng
+from dropout_uncertainty.exploration import world
+from dropout_uncertainty.exploration.policies import Chance, Policy
+from dropout_uncertainty.exploration.q_network import MaskStream, QNetwork, td_error
+from dropout_uncertainty.exploration.replay import ReplayMemory
+
+__all__ = ["CHUNK", "STATE_SIZE", "Agent"]
+
+#: Ticks for which random numbers are drawn ahead.
+CHUNK = 100
+C = len(world.ACTIONS)
+#: Numbers in a state: what is seen now, what was seen before, and the action between, one-hot times 27 (deepqlearn.js).
+STATE_SIZE = 2 * world.INPUTS + C
+ACTION_SCALE = float(world.INPUTS)
+ONE_HOT = np.eye(C)
+
+
+class Agent:
+    """R replicas of one agent.
+
+    Args:
+        policy: the behaviour policy.
+        drop: drop probability before each weight layer.
+        hidden: widths of the hidden layers.
+        seeds: one per replica.
+        index: number of the agent in its world; part of the names of its random streams.
+        capacity: transitions in the replay memory.
+        learning_start: the agent learns once the memory holds more transitions than this.
+        batch, discount, rate, decay: of the learning step, see ``QNetwork.learn``.
+        held_out: capacity of a second memory for transitions that are never learned from; 0 for none.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        drop: Sequence[float],
+        hidden: Sequence[int],
+        seeds: Sequence[int],
+        *,
+        index: int = 0,
+        capacity: int = 30_000,
+        learning_start: int = 1000,
+        batch: int = 64,
+        discount: float = 0.7,
+        rate: float = 0.001,
+        decay: float = 0.01,
+        held_out: int = 0,
+        dtype: torch.dtype = torch.float32,
+        device: str = "cpu",
+    ) -> None:
+        self.policy, self.drop, self.seeds, self.index = policy, tuple(drop), tuple(seeds), index
+        self.batch, self.learning_start = batch, learning_start
+        self.learning = {"discount": discount, "rate": rate, "decay": decay}
+        self.place = {"dtype": dtype, "device": device}
+        self.network = QNetwork((STATE_SIZE, *hidden, C), self.seeds, index, **self.place)
+        self.memory = ReplayMemory(len(self.seeds), capacity, STATE_SIZE, C, **self.place)
+        self.held_out = ReplayMemory(len(self.seeds), held_out, STATE_SIZE, C, **self.place) if held_out else None
+        self.current = torch.zeros(len(self.seeds), STATE_SIZE + C, dtype=dtype).numpy()
+        self.minibatch = torch.zeros(len(self.seeds), 2 * batch + 2, STATE_SIZE + C, **self.place)
+        #: Sum of squared TD errors of the replay minibatches [R] and number of learning steps, since last asked.
+        self.squared_error, self.steps = torch.zeros(len(self.seeds), device=device), 0
+
+    def prepare(self, chunk: int, holding_out: bool = False) -> None:
+        """Draw the random numbers for the ticks of a chunk (0, 1, ...); ``holding_out``: transitions are kept aside."""
+        first_tick = chunk * CHUNK + 1
+        storing = first_tick + np.arange(CHUNK) >= 3  # a transition needs two states, a state two readings
+        uniform = self._uniform("replay", chunk, 1 + self.batch)
+        self.store_in = self.held_out if holding_out else self.memory
+        self.plan = self.memory.plan(uniform, storing & (not holding_out), extra=2)
+        if holding_out and self.held_out is not None:
+            self.slots = self.held_out.plan(uniform[:, :, :1], storing, extra=0).slots
+        else:
+            self.slots = self.plan.slots
+        self.masks = None
+        if self.memory.stored + CHUNK > self.learning_start:
+            rows, sizes = 2 * self.batch + 1, self.network.sizes
+            path = (self.index, chunk)
+            self.masks = MaskStream(self.seeds, sizes[:-1], self.drop, CHUNK, rows, *path, **self.place)
+        policy = self._uniform("policy", chunk, 2 + C)
+        with np.errstate(divide="ignore"):
+            self.chance = policy[..., 0], policy[..., 1], -np.log(-np.log(policy[..., 2:]))
+
+    def _uniform(self, name: str, chunk: int, count: int) -> Float[np.ndarray, "T R count"]:
+        def draw(g: torch.Generator) -> Tensor:
+            return torch.rand(CHUNK, count, dtype=torch.float64, generator=g)
+
+        return rng.stacked(draw, self.seeds, name, self.index, chunk).transpose(0, 1).numpy()
+
+    def act(self, inputs: Float[np.ndarray, "R 27"], tick: int) -> tuple[Int[np.ndarray, " R"], NDArray]:
+        """Take in what the eyes sense at ``tick``, learn, and return the actions and which of them explore.
+
+        An action explores if the network without dropout values another one higher, or if there are no values yet.
+        """
+        step = (tick - 1) % CHUNK
+        self._take_in(inputs, tick, step)
+        chance = Chance(*(numbers[step] for numbers in self.chance))
+        if self.memory.size > self.learning_start:
+            drawn, plain = self._learn(step)
+            action = self.policy(drawn if self.policy.draws_weights else plain, chance, tick)
+            explores = action != plain.argmax(-1)
+        else:
+            action = (chance.which * C).astype(np.int64)
+            explores = np.ones(len(action), dtype=bool)
+        self.action = action
+        return action, explores
+
+    def receive(self, reward: Float[np.ndarray, " R"]) -> None:
+        """Take in the reward of the action just taken."""
+        self.reward = reward
+
+    def _take_in(self, inputs: NDArray, tick: int, step: int) -> None:
+        """Make the new state, and a transition of the last one, its action and reward, and the new one."""
+        before, now = self.current.copy(), self.current
+        now[:, world.INPUTS : 2 * world.INPUTS] = before[:, : world.INPUTS]
+        now[:, : world.INPUTS] = inputs
+        if tick > 1:
+            taken = ONE_HOT[self.action]
+            now[:, 2 * world.INPUTS : STATE_SIZE] = ACTION_SCALE * taken
+            now[:, STATE_SIZE] = self.reward
+            before[:, STATE_SIZE:] = taken
+        if tick > 2:
+            self.store_in.store(self.slots[step], before, now)
+        self.memory.observe(now)
+
+    def _learn(self, step: int) -> tuple[NDArray, NDArray]:
+        """Take a learning step; return the Q-values of the present state under a weight draw and without dropout."""
+        size = len(self.minibatch)
+        rows = self.memory.read(self.plan.rows[step], out=self.minibatch)
+        states, further = rows[..., :STATE_SIZE], rows[..., STATE_SIZE:]
+        taken, reward = further[:, : self.batch], further[:, self.batch : 2 * self.batch, 0]
+        q, error = self.network.learn(states, taken, reward, self.masks.at(step), **self.learning)
+        self.squared_error += error.square().mean(1)
+        self.steps += 1
+        drawn, plain = q.cpu().numpy().reshape(size, 2, C).transpose(1, 0, 2)
+        return drawn, plain
+
+    def mean_squared_error(self) -> Float[np.ndarray, " R"]:
+        """Return the mean squared TD error of the minibatches since the last call; NaN if there were none."""
+        mean = self.squared_error.cpu().numpy() / self.steps if self.steps else np.full(len(self.seeds), np.nan)
+        self.squared_error, self.steps = torch.zeros_like(self.squared_error), 0
+        return mean
+
+    def held_out_errors(self) -> tuple[NDArray, NDArray]:
+        """Return the mean squared TD errors [R], without dropout, on transitions held out and on as many learned from."""
+        return self._evaluate(self.held_out, self.held_out.size), self._evaluate(self.memory, self.held_out.size)
+
+    def _evaluate(self, memory: ReplayMemory, count: int) -> NDArray:
+        rows = memory.read(memory.spread(count))
+        taken, reward = rows[:, :count, STATE_SIZE:], rows[:, count:, STATE_SIZE]
+        q = self.network.forward(rows[..., :STATE_SIZE])[-1]
+        return td_error(q, taken, reward, self.learning["discount"]).square().mean(1).cpu().numpy()
+
+    def state(self) -> dict:
+        """Return everything needed to continue, between two chunks."""
+        return {
+            "parameters": self.network.parameters.clone(),
+            "memory": self.memory.state(),
+            "held_out": self.held_out.state() if self.held_out else None,
+            "current": torch.tensor(self.current),
+            "action": torch.tensor(self.action),
+            "reward": torch.tensor(self.reward),
+        }
+
+    def restore(self, state: dict) -> None:
+        """Continue from ``state()``."""
+        self.network.parameters.copy_(state["parameters"])
+        self.memory.restore(state["memory"])
+        if self.held_out:
+            self.held_out.restore(state["held_out"])
+        self.current = state["current"].numpy().copy()
+        self.action, self.reward = state["action"].numpy(), state["reward"].numpy()

@@ -1,0 +1,283 @@
+"""The experiments of section 5.3: agents learning in the 2D world, all seeds of a config at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from dropout_uncertainty import rng
+from dropout_uncertainty.bayes import check_probability
+from dropout_uncertainty.exploration import world
+from dropout_uncertainty.exploration.agent import CHUNK, Agent
+from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
+from dropout_uncertainty.exploration.world import Rules, World
+from dropout_uncertainty.runs import Unit, precision_dtype
+
+__all__ = ["AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "WIDE", "AgentConfig", "Config", "Foraging", "start", "units"]  # fmt: skip
+
+#: Ticks per block, the unit in which results are kept: one point of the demo's plot.
+BLOCK = 500
+#: The final weights of this many seeds are kept, for animations.
+KEPT_WEIGHTS = 2
+EXPERIMENT = "exploration"
+
+
+@dataclass(frozen=True)
+class AgentConfig:
+    """What distinguishes the agents of one world."""
+
+    policy: str
+    """Behaviour policy, a key of ``POLICIES``."""
+    drop: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """Drop probability before each weight layer: inputs, hidden 1, hidden 2."""
+
+
+#: The demo's Thompson agent has one dropout layer, behind the first hidden one (rl_demo.html), the text's has three.
+THOMPSON_OF_DEMO = AgentConfig("thompson", (0.0, 0.2, 0.0))
+THOMPSON_OF_TEXT = AgentConfig("thompson", (0.1, 0.1, 0.1))
+
+
+@dataclass(frozen=True)
+class Config:
+    """One experiment. Sources: rl_demo.html and deepqlearn.js of the demo, unless said otherwise."""
+
+    agents: tuple[AgentConfig, ...]
+    """The agents; more than one share a world and its items."""
+    ticks: int
+    """Length of a run; the demo runs until it is stopped."""
+    hidden: tuple[int, ...] = (50, 50)
+    """Widths of the hidden layers."""
+    burn_in: int = 3000
+    """Transitions in memory before agents stop acting at random; the thesis says 25 batches."""
+    anneal_end: int = 200_000
+    """Tick at which ε would reach 0, and the temperature does reach its end."""
+    epsilon_floor: float = 0.05
+    """Smallest ε."""
+    temperature_start: float = 1.0
+    """Temperature at the end of the burn-in, in units of Q; our choice, the thesis gives none."""
+    temperature_end: float = 0.01
+    """Last temperature, in units of Q; our choice."""
+    memory: int = 30_000
+    """Transitions in the replay memory."""
+    learning_start: int = 1000
+    """Learning begins when the memory holds more transitions than this."""
+    batch: int = 64
+    """Transitions per learning step, drawn with replacement; one step per tick, the thesis's "batch"."""
+    discount: float = 0.7
+    """γ."""
+    learning_rate: float = 0.001
+    """Step size of gradient descent on the mean over the minibatch."""
+    l2_decay: float = 0.01
+    """Weight decay; convnetjs divides it by the batch size."""
+    held_out_every: int = 0
+    """Each n-th block of transitions is kept from learning, to measure TD errors on it; 0: none. Ours."""
+    rules: Rules = field(default_factory=Rules)
+    """Rules of the world."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def check(config: Config) -> None:
+    """Raise ValueError where a config makes no sense."""
+    if not config.agents:
+        raise ValueError("a config needs at least one agent, got none")
+    if config.ticks < BLOCK or config.ticks % BLOCK:
+        raise ValueError(f"ticks must be a positive multiple of {BLOCK}, got {config.ticks}")
+    for agent in config.agents:
+        if agent.policy not in POLICIES:
+            raise ValueError(f"unknown policy {agent.policy!r}, choose one of {', '.join(POLICIES)}")
+        if len(agent.drop) != len(config.hidden) + 1:
+            raise ValueError(f"expected {len(config.hidden) + 1} drop probabilities per agent, got {agent.drop}")
+        for p in agent.drop:
+            check_probability(p)
+    if config.burn_in <= config.learning_start:
+        raise ValueError(f"burn_in must exceed learning_start ({config.learning_start}), got {config.burn_in}")
+    if config.anneal_end <= config.burn_in:
+        raise ValueError(f"anneal_end must exceed burn_in ({config.burn_in}), got {config.anneal_end}")
+    if config.held_out_every == 1 or config.held_out_every < 0:
+        raise ValueError(f"held_out_every must be 0 or at least 2, got {config.held_out_every}")
+
+
+#: The demo: both agents in one world.
+AS_DEMO = Config(agents=(THOMPSON_OF_DEMO, AgentConfig("epsilon-greedy")), ticks=1_000_000)
+#: The thesis text: dropout 0.1 before every weight layer.
+AS_WRITTEN = replace(AS_DEMO, agents=(THOMPSON_OF_TEXT, AgentConfig("epsilon-greedy")), ticks=200_000)
+#: One agent per world, the same network and the demo's dropout wherever weights are drawn.
+OURS = {
+    name: Config(agents=(AgentConfig(name, THOMPSON_OF_DEMO.drop if POLICIES[name].draws_weights else (0.0, 0.0, 0.0)),),
+                 ticks=200_000)
+    for name in POLICIES
+}  # fmt: skip
+#: Over-fitting (claim EX6): networks of the demo's and of four times its width, without and with the text's dropout. All
+#: act ε-greedily on the network without dropout, so that nothing but the dropout in learning distinguishes a pair.
+WIDE = {
+    name: Config(
+        agents=(AgentConfig("epsilon-greedy", drop),), ticks=100_000, hidden=hidden, held_out_every=10
+    )
+    for name, hidden, drop in (
+        ("narrow", (50, 50), (0.0, 0.0, 0.0)),
+        ("narrow-dropout", (50, 50), (0.1, 0.1, 0.1)),
+        ("wide", (200, 200), (0.0, 0.0, 0.0)),
+        ("wide-dropout", (200, 200), (0.1, 0.1, 0.1)),
+    )
+}
+CONFIGS: dict[str, Config] = {
+    "as-demo": AS_DEMO,
+    "as-written": AS_WRITTEN,
+    **{f"ours-{name}": config for name, config in OURS.items()},
+    **WIDE,
+}
+
+
+def make_policy(name: str, config: Config) -> Policy:
+    """Return the policy of that name with the settings of the config."""
+    annealed = {"burn_in": config.burn_in, "anneal_end": config.anneal_end}
+    settings: dict[str, dict[str, float]] = {
+        "thompson": {"burn_in": config.burn_in},
+        "epsilon-greedy": {**annealed, "floor": config.epsilon_floor},
+    }
+    temperatures = {**annealed, "start": config.temperature_start, "end": config.temperature_end}
+    return policy(name, **settings.get(name, temperatures))
+
+
+class Foraging:
+    """Agents learning in R replicas of the world; one step of work is a block of 500 ticks.
+
+    ``log`` holds per replica, agent and block: mean reward, food and poison eaten, moves undone by a wall, exploring
+    actions (see ``Agent.act``), and the mean squared TD error of the minibatches.
+    """
+
+    LOG = ("reward", "food", "poison", "blocked", "explored", "td_error")
+
+    def __init__(
+        self, config: Config, seeds: Sequence[int], *, device: str = "cpu", precision: str = "float32"
+    ) -> None:
+        if not seeds:
+            raise ValueError("at least one seed is needed, got none")
+        self.config, self.seeds = config, tuple(seeds)
+        self.total, self.done = config.ticks // BLOCK, 0
+        layout = rng.stacked(lambda g: torch.rand(world.ITEMS, 3, dtype=torch.float64, generator=g),
+                             self.seeds, "environment", "start")  # fmt: skip
+        self.world = World(layout.numpy(), len(config.agents), config.rules)
+        self.agents = [self._agent(index, precision_dtype(precision), device) for index in range(len(config.agents))]
+        shape = (len(self.seeds), len(self.agents), self.total)
+        self.log = {name: np.full(shape, np.nan) for name in self.LOG}
+        evaluations = (*shape[:2], self.total // config.held_out_every) if config.held_out_every else None
+        self.held_out = np.full((*evaluations, 2), np.nan) if evaluations else None
+
+    def _agent(self, index: int, dtype: torch.dtype, device: str) -> Agent:
+        config, agent = self.config, self.config.agents[index]
+        # as the memories fill and forget at the same pace, both hold transitions of the same ages
+        held_out = config.memory // (config.held_out_every - 1) if config.held_out_every else 0
+        return Agent(
+            make_policy(agent.policy, config), agent.drop, config.hidden, self.seeds, index=index,
+            capacity=config.memory, learning_start=config.learning_start, batch=config.batch, discount=config.discount,
+            rate=config.learning_rate, decay=config.l2_decay, held_out=held_out, dtype=dtype, device=device,
+        )  # fmt: skip
+
+    def advance(self) -> str:
+        """Run one block of ticks; return the mean reward per agent."""
+        sums = {name: np.zeros(self.log[name].shape[:2]) for name in self.LOG}
+        for _ in range(BLOCK // CHUNK):
+            self._chunk(sums)
+        for name, values in sums.items():
+            self.log[name][..., self.done] = values / BLOCK if name == "reward" else values
+        self.log["td_error"][..., self.done] = np.stack([agent.mean_squared_error() for agent in self.agents], axis=1)
+        self.done += 1
+        if self.held_out is not None and self.done % self.config.held_out_every == 0:
+            errors = [np.stack(agent.held_out_errors(), axis=-1) for agent in self.agents]
+            self.held_out[:, :, self.done // self.config.held_out_every - 1] = np.stack(errors, axis=1)
+        means = self.log["reward"][..., self.done - 1].mean(0)
+        return "reward " + ", ".join(f"{mean:.2f}" for mean in means)
+
+    def _chunk(self, sums: dict[str, np.ndarray]) -> None:
+        """Run the ticks for which random numbers are drawn at once, and add up what happens."""
+        chunk = self.world.clock // CHUNK
+        ageing, spawning = self._environment(chunk)
+        every = self.config.held_out_every
+        for agent in self.agents:
+            agent.prepare(chunk, holding_out=every > 0 and self.done % every == every - 1)
+        actions = np.zeros((len(self.seeds), len(self.agents)), dtype=np.int64)
+        explores = np.zeros(actions.shape, dtype=bool)
+        for tick in range(chunk * CHUNK + 1, (chunk + 1) * CHUNK + 1):
+            readings = self.world.sense()
+            inputs = self.world.inputs(readings)
+            for index, agent in enumerate(self.agents):
+                actions[:, index], explores[:, index] = agent.act(inputs[:, index], tick)
+            outcome = self.world.step(actions, ageing, spawning[:, (tick - 1) % CHUNK // world.SPAWN_PERIOD])
+            reward = self.world.reward(readings, actions, outcome)
+            for index, agent in enumerate(self.agents):
+                agent.receive(reward[:, index])
+            for name, value in (
+                ("reward", reward), ("food", outcome.food), ("poison", outcome.poison), ("blocked", outcome.blocked),
+                ("explored", explores),
+            ):  # fmt: skip
+                sums[name] += value
+
+    def _environment(self, chunk: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the uniform numbers of ageing [R, 30], due at the end of the chunk, and of new items [R, 10, 4]."""
+        spawns = CHUNK // world.SPAWN_PERIOD
+        uniform = rng.stacked(
+            lambda g: torch.rand(world.ITEMS + 4 * spawns, dtype=torch.float64, generator=g),
+            self.seeds, "environment", chunk,
+        ).numpy()  # fmt: skip
+        return uniform[:, : world.ITEMS], uniform[:, world.ITEMS :].reshape(-1, spawns, 4)
+
+    def state(self) -> dict[str, Any]:
+        """Return everything needed to continue."""
+        return {
+            "done": self.done,
+            "world": {name: torch.as_tensor(value) for name, value in self.world.state().items()},
+            "agents": [agent.state() for agent in self.agents],
+            "log": {name: torch.tensor(values) for name, values in self.log.items()},
+            "held_out": None if self.held_out is None else torch.tensor(self.held_out),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from ``state()`` of a process made with the same arguments."""
+        self.done = state["done"]
+        self.world.restore(state["world"])
+        for agent, saved in zip(self.agents, state["agents"], strict=True):
+            agent.restore(saved)
+        self.log = {name: values.numpy().copy() for name, values in state["log"].items()}
+        if self.held_out is not None:
+            self.held_out = state["held_out"].numpy().copy()
+
+    def result(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the record: [R, A, blocks], and what is named in the comments."""
+        counts = {name: self.log[name].astype(np.int16) for name in ("food", "poison", "blocked", "explored")}
+        reward = self.log["reward"]
+        last = np.concatenate((reward[..., :1], 0.5 * (reward[..., 1:] + reward[..., :-1])), axis=-1)
+        arrays = {
+            "average_reward": last.astype(np.float32),  # of the last 1000 ticks, the demo's curve
+            "reward": reward.astype(np.float32),
+            "td_error": self.log["td_error"].astype(np.float32),
+            "weights": self._final_weights(),  # [first seeds, A, P]
+            **counts,
+        }
+        if self.held_out is not None:  # [R, A, evaluations]
+            arrays["held_out_td_error"], arrays["learned_td_error"] = np.moveaxis(self.held_out, -1, 0).astype(np.float32)
+        return arrays
+
+    def _final_weights(self) -> np.ndarray:
+        kept = [agent.network.parameters[:KEPT_WEIGHTS].cpu().numpy() for agent in self.agents]
+        return np.stack(kept, axis=1).astype(np.float32)
+
+
+def start(config: Config, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> Foraging:
+    """Return the process of one unit."""
+    return Foraging(config, seeds, device=device, precision=precision)
+
+
+def units(name: str, seeds: Sequence[int] = tuple(range(10)), device: str = "cpu") -> list[Unit]:
+    """Return the work of a named config: one unit, as all seeds run together.
+
+    Raises:
+        ValueError: if there is no config of that name.
+    """
+    if name not in CONFIGS:
+        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
+    return [Unit(EXPERIMENT, name, start, CONFIGS[name], tuple(seeds), device)]

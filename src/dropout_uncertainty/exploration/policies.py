@@ -1,0 +1,134 @@
+"""Behaviour policies: how an agent turns the values of its Q-network into an action.
+
+A policy is a function of the Q-values and of random numbers drawn ahead of time. To add one, write a class with a
+``__call__`` like those below and enter it in ``POLICIES``.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+
+__all__ = ["POLICIES", "AnnealedThompson", "Boltzmann", "Chance", "EpsilonGreedy", "Policy", "Thompson", "policy"]
+
+
+class Chance(NamedTuple):
+    """Random numbers for one decision of each replica: two uniform ones [R] and Gumbel noise [R, C]."""
+
+    whether: NDArray
+    which: NDArray
+    gumbel: NDArray
+
+
+class Policy(Protocol):
+    """Chooses one action per replica."""
+
+    #: True to act on the values under one weight draw, False to act on those of the network without dropout.
+    draws_weights: ClassVar[bool]
+
+    def __call__(self, q: Float[np.ndarray, "R C"], chance: Chance, tick: int) -> Int[np.ndarray, " R"]:
+        """Return the actions at ``tick`` (1, 2, ...) for Q-values ``q``."""
+
+
+def random_action(q: NDArray, chance: Chance) -> Int[np.ndarray, " R"]:
+    """Return uniformly random actions."""
+    return (chance.which * q.shape[-1]).astype(np.int64)
+
+
+def sample_softmax(q: NDArray, temperature: float, chance: Chance) -> Int[np.ndarray, " R"]:
+    """Return actions from Categorical(softmax(q / temperature)), by the Gumbel-max trick."""
+    return (q / temperature + chance.gumbel).argmax(-1)
+
+
+@dataclass(frozen=True)
+class EpsilonGreedy:
+    """Takes a random action with probability ε, else the best one.
+
+    ε is 1 during the burn-in, then falls linearly as if to reach 0 at ``anneal_end``, but stays at ``floor``: the demo
+    never stops exploring. A random action may be the best one; among equals the first wins.
+    """
+
+    burn_in: int = 3000
+    anneal_end: int = 200_000
+    floor: float = 0.05
+    draws_weights: ClassVar[bool] = False
+
+    def epsilon(self, tick: int) -> float:
+        """Return the probability of a random action at ``tick``."""
+        learned = (tick - 1 - self.burn_in) / (self.anneal_end - self.burn_in)
+        return min(1.0, max(self.floor, 1.0 - learned))
+
+    def __call__(self, q: NDArray, chance: Chance, tick: int) -> Int[np.ndarray, " R"]:
+        """Return the actions."""
+        return np.where(chance.whether < self.epsilon(tick), random_action(q, chance), q.argmax(-1))
+
+
+@dataclass(frozen=True)
+class Thompson:
+    """Draws the weights and takes the action that is best under the draw; random actions during the burn-in only."""
+
+    burn_in: int = 3000
+    draws_weights: ClassVar[bool] = True
+
+    def __call__(self, q: NDArray, chance: Chance, tick: int) -> Int[np.ndarray, " R"]:
+        """Return the actions."""
+        return random_action(q, chance) if in_burn_in(tick, self.burn_in) else q.argmax(-1)
+
+
+@dataclass(frozen=True)
+class Boltzmann:
+    """Samples an action from softmax(Q / τ), with τ falling geometrically from ``start`` to ``end`` (thesis, Remark).
+
+    The thesis gives no schedule. Ours ends where ε does; values of Q lie near 3 and those of different actions some
+    tenths apart, so the start is close to uniform and the end close to the maximum.
+    """
+
+    burn_in: int = 3000
+    anneal_end: int = 200_000
+    start: float = 1.0
+    end: float = 0.01
+    draws_weights: ClassVar[bool] = False
+
+    def temperature(self, tick: int) -> float:
+        """Return τ at ``tick``, in units of Q."""
+        learned = (tick - 1 - self.burn_in) / (self.anneal_end - self.burn_in)
+        return self.start * (self.end / self.start) ** min(1.0, max(0.0, learned))
+
+    def __call__(self, q: NDArray, chance: Chance, tick: int) -> Int[np.ndarray, " R"]:
+        """Return the actions."""
+        if in_burn_in(tick, self.burn_in):
+            return random_action(q, chance)
+        return sample_softmax(q, self.temperature(tick), chance)
+
+
+@dataclass(frozen=True)
+class AnnealedThompson(Boltzmann):
+    """Boltzmann exploration on the values under a draw of the weights: the combination the thesis proposes to try."""
+
+    draws_weights: ClassVar[bool] = True
+
+
+def in_burn_in(tick: int, burn_in: int) -> bool:
+    """Return whether the replay memory still holds fewer than ``burn_in`` transitions; its first comes at tick 3."""
+    return tick - 2 < burn_in
+
+
+POLICIES: dict[str, type] = {
+    "epsilon-greedy": EpsilonGreedy,
+    "thompson": Thompson,
+    "boltzmann": Boltzmann,
+    "annealed-thompson": AnnealedThompson,
+}
+
+
+def policy(name: str, **settings: float) -> Policy:
+    """Return a policy by name.
+
+    Raises:
+        ValueError: if there is none of that name.
+    """
+    if name not in POLICIES:
+        raise ValueError(f"unknown policy {name!r}, choose one of {', '.join(POLICIES)}")
+    return POLICIES[name](**settings)
