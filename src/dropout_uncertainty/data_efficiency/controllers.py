@@ -6,7 +6,7 @@ applies both.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -31,6 +31,7 @@ NOISE_STD = 0.01
 VARIANCE_JITTER = 1e-6
 
 
+@runtime_checkable
 class Controller(Protocol):
     """What both controllers offer; D features in, F preliminary outputs out."""
 

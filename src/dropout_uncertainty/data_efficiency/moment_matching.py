@@ -16,7 +16,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-
 # Numbers of a block of N x N arrays worked on at once: 1 MiB of float64, the second-level cache of a current
 # core.
 BLOCK = 2**17
@@ -84,11 +83,11 @@ class SquaredExponential:
     at x.
     """
 
-    centres: Float[Tensor, "R N D"]
-    log_length_scales: Float[Tensor, "R E D"]
-    log_signal_std: Float[Tensor, "R E"]
-    weights: Float[Tensor, "R E N"]
-    precision: Float[Tensor, "R E N N"] | None = None
+    centres: Tensor  # [R, N, D]
+    log_length_scales: Tensor  # [R, E, D]
+    log_signal_std: Tensor  # [R, E]
+    weights: Tensor  # [R, E, N]
+    precision: Tensor | None = None  # [R, E, N, N]
 
     def __post_init__(self) -> None:
         replicas, count, dim = self.centres.shape
@@ -112,6 +111,13 @@ class SquaredExponential:
         """Return the functions' (mean) values at points."""
         values = (self.kernel(x.reshape(len(x), -1, x.shape[-1])) @ self.weights[..., None])[..., 0]
         return values.mT.reshape(*x.shape[:-1], -1)
+
+    def select(self, replicas: list[int]) -> "SquaredExponential":
+        """Return the functions of some of the replicas."""
+        if replicas == list(range(len(self.centres))):
+            return self
+        own = (self.centres, self.log_length_scales, self.log_signal_std, self.weights, self.precision)
+        return SquaredExponential(*(None if a is None else a[replicas] for a in own))
 
     def kernel(self, x: Float[Tensor, "R K D"]) -> Float[Tensor, "R E K N"]:
         """Return the covariance function between points and centres."""

@@ -1,0 +1,139 @@
+"""Many small minimisations at once: SciPy's L-BFGS-B per problem, their functions evaluated together as one batch.
+
+Each problem runs SciPy's own optimiser in a thread that does nothing but wait for function values, so all line searches
+advance in step and the batch shrinks as problems finish. One problem takes the same path alone as among many.
+"""
+
+import math
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy import optimize
+from torch import Tensor
+
+# Added to the first value where a function cannot be evaluated: high enough for a line search to turn back.
+BARRIER = 1e6
+# Pairs that L-BFGS keeps: enough to act as BFGS over the few hundred iterations used here.
+MEMORY = 50
+LINE_SEARCH_EVALUATIONS = 30  # as in the original (pilco-matlab, scenarios/cartPole/settings_cp.m)
+
+Objective = Callable[[Float[Tensor, "A P"], list[int]], tuple[Float[Tensor, " A"], Float[Tensor, "A P"]]]
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """The outcome for each of B problems."""
+
+    x: Float[Tensor, "B P"]
+    value: Float[Tensor, " B"]  # NaN where the function could not be evaluated at the start
+    iterations: Int[Tensor, " B"]  # line searches
+    evaluations: Int[Tensor, " B"]
+    restarts: Int[Tensor, " B"]  # failed line searches, after each of which L-BFGS began anew from the best point
+    repairs: Int[Tensor, " B"]  # values that were not finite, replaced by a barrier with slope 0
+
+
+def minimise(
+    objective: Objective, start: Float[Tensor, "B P"], iterations: int, max_restarts: int = 2
+) -> Minimum:
+    """Minimise B functions of P variables, at most `iterations` line searches each.
+
+    Args:
+        objective: returns values [A] and gradients [A, P] of the A problems whose numbers it is given as a list.
+        start: where to begin.
+        iterations: the limit on line searches.
+        max_restarts: how often a problem may begin anew after a failed line search.
+    """
+    requests: queue.SimpleQueue = queue.SimpleQueue()
+    points = start.detach().cpu().double().numpy()
+    problems = [_Problem(i, x, iterations, max_restarts, requests) for i, x in enumerate(points)]
+    for problem in problems:
+        problem.start()
+    active = set(range(len(problems)))
+    try:
+        while active:
+            messages = sorted((requests.get() for _ in range(len(active))), key=lambda message: message[0])
+            active -= {i for i, x in messages if x is None}
+            waiting = [(i, x) for i, x in messages if x is not None]
+            if waiting:
+                _answer(problems, objective, waiting, start)
+    finally:
+        for i in active:  # an exception here must not leave threads waiting
+            problems[i].answers.put(None)
+        for problem in problems:
+            problem.join()
+    for problem in problems:
+        if problem.error is not None:
+            raise problem.error
+    counts = {name: torch.tensor([getattr(p, name) for p in problems]) for name in _Problem.COUNTS}
+    best = torch.from_numpy(np.stack([p.best for p in problems])).to(start)
+    return Minimum(best, torch.tensor([p.value for p in problems], dtype=torch.float64), **counts)
+
+
+def _answer(problems: list["_Problem"], objective: Objective, waiting: list, start: Tensor) -> None:
+    numbers = [i for i, _ in waiting]
+    values, gradients = objective(torch.from_numpy(np.stack([x for _, x in waiting])).to(start), numbers)
+    values, gradients = values.detach().cpu().double().numpy(), gradients.detach().cpu().double().numpy()
+    for i, value, gradient in zip(numbers, values, gradients, strict=True):
+        problems[i].answers.put((float(value), gradient))
+
+
+class _Problem(threading.Thread):
+    """One problem's optimiser; asks for values through `requests` and waits for `answers`."""
+
+    COUNTS = ("iterations", "evaluations", "restarts", "repairs")
+
+    def __init__(self, number: int, x: np.ndarray, limit: int, max_restarts: int, requests) -> None:
+        super().__init__(daemon=True)
+        self.number, self.limit, self.max_restarts = number, limit, max_restarts
+        self.requests, self.answers = requests, queue.SimpleQueue()
+        self.best, self.value, self.first = x, math.nan, math.nan
+        self.iterations = self.evaluations = self.restarts = self.repairs = 0
+        self.error: Exception | None = None
+
+    def run(self) -> None:
+        try:
+            self._minimise()
+        except Exception as error:  # raised again by `minimise`, in the thread of its caller
+            self.error = error
+        self.requests.put((self.number, None))
+
+    def _minimise(self) -> None:
+        while self.iterations < self.limit:
+            options = {
+                "maxiter": self.limit - self.iterations,
+                "maxfun": 20 * self.limit,
+                "maxcor": MEMORY,
+                "maxls": LINE_SEARCH_EVALUATIONS,
+                "ftol": 1e-10,
+                "gtol": 1e-6,
+            }
+            outcome = optimize.minimize(self._ask, self.best, jac=True, method="L-BFGS-B", options=options)
+            self.iterations += outcome.nit
+            if not math.isfinite(self.value) or "ABNORMAL" not in outcome.message:
+                return
+            self.restarts += 1
+            if self.restarts > self.max_restarts or outcome.nit == 0:
+                return
+
+    def _ask(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        self.requests.put((self.number, x.copy()))
+        answer = self.answers.get()
+        if answer is None:
+            raise RuntimeError("the batch was stopped")
+        value, gradient = answer
+        self.evaluations += 1
+        finite = math.isfinite(value) and bool(np.isfinite(gradient).all())
+        if self.evaluations == 1:
+            self.first = value if finite else 0.0
+            self.value = value if finite else math.nan
+        if not finite:
+            self.repairs += 1
+            return self.first + BARRIER, np.zeros_like(x)
+        if value < self.value:
+            self.best, self.value = x.copy(), value
+        return value, gradient
