@@ -1,10 +1,11 @@
 """The one idea of the book: a draw of the weights is a value.
 
-With dropout, a draw from the approximate posterior over the weights, q(ω), is one set of masks. Here the masks are plain
-tensors, made by ``draw`` and handed to the call: ``net(x, masks)``. How long a draw is held (a prediction, a
+With dropout, a draw from the approximate posterior over the weights, q(ω), is one set of masks. Here the masks are
+plain tensors, made by ``draw`` and handed to the call: ``net(x, masks)``. How long a draw is held (a prediction, a
 decision, a whole trajectory) is then visible in the code. ``masks=None`` is the deterministic pass (weight scaling).
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -123,10 +124,10 @@ class MLP(nn.Module):
         self.drop = tuple(check_probability(p) for p in drop)
         self.activation = ACTIVATIONS[activation]
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
-        for layer, (fan_in, fan_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+        for layer, (fan_in, fan_out) in enumerate(itertools.pairwise(sizes)):
             scale = (2.0 / (fan_in + fan_out)) ** 0.5
 
-            def glorot(g: Generator, shape=(fan_in, fan_out), scale=scale) -> Tensor:
+            def glorot(g: Generator, shape: tuple[int, int] = (fan_in, fan_out), scale: float = scale) -> Tensor:
                 return scale * torch.randn(shape, generator=g, dtype=dtype)
 
             self.weights.append(nn.Parameter(rng.stacked(glorot, self.seeds, "init", layer)))

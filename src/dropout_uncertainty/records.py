@@ -23,6 +23,8 @@ from typing import Any
 
 import numpy as np
 
+from dropout_uncertainty.errors import UserError
+
 __all__ = [
     "Record", "RecordError", "checksum", "config_dict", "config_hash", "find", "provenance", "read", "root", "verify",
     "write",
@@ -33,7 +35,7 @@ HEADER = "header.json"
 REQUIRED = ("schema", "experiment", "name", "seeds", "config", "config_hash", "checksum", "provenance")
 
 
-class RecordError(Exception):
+class RecordError(UserError):
     """A record cannot be read, trusted or written."""
 
 
@@ -49,6 +51,11 @@ class Record:
     def seeds(self) -> list[int]:
         """The seeds of the replicas, in the order of the arrays' leading axis."""
         return self.header["seeds"]
+
+    @property
+    def label(self) -> str:
+        """Path of the file below the records folder."""
+        return f"{self.header['experiment']}/{self.header['name']}/{self.path.name}"
 
 
 def root() -> Path:
@@ -139,16 +146,17 @@ def write(path: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any
             file.flush()
             os.fsync(file.fileno())
         temporary.chmod(0o644)
-        os.link(temporary, path)  # unlike a rename this never replaces a file
-    except FileExistsError:
-        if read(path).header["checksum"] != full["checksum"]:
-            raise RecordError(f"{path} already holds another result; move it away if you want to replace it") from None
+        with contextlib.suppress(FileExistsError):
+            os.link(temporary, path)  # unlike a rename this never replaces a file
     except OSError as error:
         raise RecordError(f"cannot write the record {path} ({error.strerror or error}): is the disk full?") from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
-    return read(path)
+    record = read(path)
+    if record.header["checksum"] != full["checksum"]:
+        raise RecordError(f"{path} already holds another result; move it away if you want to replace it")
+    return record
 
 
 def read(path: Path | str) -> Record:
@@ -169,7 +177,9 @@ def read(path: Path | str) -> Record:
         raise RecordError(f"the record {path} cannot be read ({error}): {remedy}") from error
     if not isinstance(header, dict) or header.get("schema") != SCHEMA:
         found = header.get("schema") if isinstance(header, dict) else None
-        raise RecordError(f"the record {path} has schema version {found}, this program reads {SCHEMA}: use a version to match")
+        raise RecordError(
+            f"the record {path} has schema version {found}, this program reads {SCHEMA}: use a version to match"
+        )
     missing = [key for key in REQUIRED if key not in header]
     if missing:
         raise RecordError(f"the header of {path} lacks {', '.join(missing)}: {remedy}")
@@ -197,8 +207,8 @@ def find(experiment: str, config: Any = None, *, name: str | None = None, folder
 
 def verify(folder: Path | None = None) -> list[tuple[Path, str | None]]:
     """Return every record file below ``folder`` with None, or the sentence that says what is wrong with it."""
-    folder, results = folder or root(), []
-    for path in sorted(folder.rglob("*.npz")):
+    results: list[tuple[Path, str | None]] = []
+    for path in sorted((folder or root()).rglob("*.npz")):
         try:
             read(path)
             results.append((path, None))

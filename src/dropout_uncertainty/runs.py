@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from filelock import FileLock, Timeout
 from tqdm.auto import tqdm
 
 from dropout_uncertainty import records
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.records import Record, RecordError
 
 __all__ = ["Process", "RunError", "Unit", "check_device", "precision_dtype", "run", "run_unit"]
@@ -31,10 +32,11 @@ CHECKPOINT_SECONDS = 20.0
 PRECISIONS = {"float64": torch.float64, "float32": torch.float32, "bfloat16": torch.bfloat16}
 
 
-class RunError(Exception):
+class RunError(UserError):
     """A run cannot be done as asked."""
 
 
+@runtime_checkable
 class Process(Protocol):
     """The work of one unit, in steps."""
 
@@ -122,7 +124,9 @@ def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False, pos
     except Timeout:
         raise RunError(f"another process is computing {unit.label}: wait for it, or stop it") from None
     except OSError as error:
-        raise RecordError(f"cannot write below {folder} ({error.strerror or error}): is it read-only or full?") from error
+        raise RecordError(
+            f"cannot write below {folder} ({error.strerror or error}): is it read-only or full?"
+        ) from error
 
 
 def run(
@@ -147,7 +151,9 @@ def run(
 def _existing(path: Path, unit: Unit) -> Record:
     record = records.read(path)
     if record.header["config_hash"] != records.config_hash(unit.config):
-        raise RunError(f"{path} was made with another config {unit.name!r}: move it away, or give your config a new name")
+        raise RunError(
+            f"{path} was made with another config {unit.name!r}: move it away, or give your config a new name"
+        )
     return record
 
 
@@ -163,7 +169,9 @@ def _compute(unit: Unit, path: Path, partial: Path, progress: bool, position: in
         process.restore(saved["state"])
         clock = {**saved["clock"], "interruptions": saved["clock"]["interruptions"] + 1}
     where = records.provenance(unit.device)
-    with tqdm(total=process.total, initial=process.done, desc=unit.label, disable=not progress, position=position) as bar:
+    with tqdm(
+        total=process.total, initial=process.done, desc=unit.label, disable=not progress, position=position
+    ) as bar:
         last = time.monotonic()
         while process.done < process.total:
             with _timed(clock):

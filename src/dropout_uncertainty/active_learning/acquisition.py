@@ -1,7 +1,7 @@
 """Acquisition functions of thesis section 5.2, from log-probabilities, and the choice of the points to label.
 
-Each function takes normalised log-probabilities of shape [S, N, C] (S weight draws, N points, C classes) and returns one
-score per point; the highest scores are acquired. The deterministic approximation (*Softmax*) is the case S = 1. No
+Each function takes normalised log-probabilities of shape [S, N, C] (S weight draws, N points, C classes) and returns
+one score per point; the highest scores are acquired. The deterministic approximation (*Softmax*) is the case S = 1. No
 epsilon is added anywhere and entropies are in nats, computed in float64.
 """
 

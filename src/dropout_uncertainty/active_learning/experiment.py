@@ -58,7 +58,7 @@ class Config:
     draws: int = 100
     """Weight draws S that score a pool point (not in the thesis; scripts: 100)."""
     masks_per_image: bool = False
-    """Whether each image has masks of its own (scripts) or a draw is shared by all images, a true draw of the weights."""
+    """Whether each image has masks of its own (scripts), or all share a draw, which is then a draw of the weights."""
     per_class: int = 2
     """Initial labelled points per class; 2 gives 20 labels (thesis 5.2)."""
     validation: int = 5_000
@@ -189,15 +189,15 @@ class CNNLearner:
 
     def _minibatches(self, size: int) -> Iterator[Int[Tensor, "R B"]]:
         for epoch in range(self.config.epochs):
-            order = rng.stacked(
-                lambda g: torch.randperm(size, generator=g), self.seeds, "data", self.round, epoch
-            )  # fmt: skip
+            order = rng.stacked(lambda g: torch.randperm(size, generator=g), self.seeds, "data", self.round, epoch)
             yield from order.to(self.device).split(self.config.batch, 1)
 
     @torch.inference_mode()
     def log_probs(self, candidates: Int[Tensor, "R M"], draws: int) -> Float[Tensor, "R S M 10"]:
-        """Return log-probabilities of training points under ``draws`` weight draws, or (0) of the deterministic pass."""
-        return self._predict([self.images[part] for part in candidates.to(self.device).split(EVALUATION_BATCH, 1)], draws)
+        """Return log-probabilities of training points under ``draws`` weight draws; 0: the deterministic pass."""
+        return self._predict(
+            [self.images[part] for part in candidates.to(self.device).split(EVALUATION_BATCH, 1)], draws
+        )
 
     def _predict(self, batches: Sequence[Float[Tensor, "R B 28 28"]], draws: int) -> Float[Tensor, "R S M 10"]:
         network = self.network
@@ -208,7 +208,8 @@ class CNNLearner:
         block = self.scored if self.config.masks_per_image else 0
         self.scored += 1
         return torch.stack(
-            [network.head(features, network.draw(count, "predict", self.round, block, draw)) for draw in range(draws)], 1
+            [network.head(features, network.draw(count, "predict", self.round, block, draw)) for draw in range(draws)],
+            1,
         )
 
     @torch.inference_mode()
@@ -216,7 +217,9 @@ class CNNLearner:
         """Return the test error in %, with weight scaling (``draws=0``) or averaged over weight draws."""
         wrong = torch.zeros(len(self.seeds))
         labels = self.data.test_labels.to(self.device)
-        for images, truth in zip(self.data.test_images.split(EVALUATION_BATCH), labels.split(EVALUATION_BATCH), strict=True):
+        for images, truth in zip(
+            self.data.test_images.split(EVALUATION_BATCH), labels.split(EVALUATION_BATCH), strict=True
+        ):
             batch = images.to(self.device).expand(len(self.seeds), -1, -1, -1)
             mean = self._predict([batch], draws).double().logsumexp(1)
             wrong += (mean.argmax(-1) != truth).sum(1).cpu()
@@ -226,9 +229,11 @@ class CNNLearner:
 class ActiveLearning:
     """One row of the tables for R seeds, as a resumable process: step r trains on 20 + 10 r labels and acquires."""
 
-    def __init__(self, config: Config, seeds: Sequence[int], *, device: str, precision: str) -> None:
+    def __init__(
+        self, config: Config, seeds: Sequence[int], *, device: str, precision: str, data: mnist.Mnist | None = None
+    ) -> None:
         self.config, self.seeds = config, tuple(seeds)
-        self.learner = CNNLearner(config, seeds, device=device, precision=precision)
+        self.learner = CNNLearner(config, seeds, device=device, precision=precision, data=data)
         self.total, self.done = config.rounds + 1, 0
         splits = [
             split(
@@ -282,7 +287,11 @@ class ActiveLearning:
     def state(self) -> dict[str, Any]:
         """Return what a killed run continues from: the acquired points and the measurements so far."""
         acquired = [pool.labelled[self._initial :] for pool in self.pools]
-        return {"done": self.done, "acquired": torch.stack(acquired), **{k: torch.from_numpy(v) for k, v in self._measured()}}
+        return {
+            "done": self.done,
+            "acquired": torch.stack(acquired),
+            **{k: torch.from_numpy(v) for k, v in self._measured()},
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from ``state()`` of a process with the same config and seeds, itself at step 0."""

@@ -11,7 +11,7 @@ R is the number of replicas that run side by side; a single classifier has R = 1
 
 import warnings
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -26,6 +26,7 @@ __all__ = ["Learner", "acquire"]
 CHUNK = 4_000
 
 
+@runtime_checkable
 class Learner(Protocol):
     """A classifier that can be trained again and again on growing sets."""
 

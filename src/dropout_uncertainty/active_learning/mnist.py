@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from dropout_uncertainty.errors import UserError
+
 __all__ = ["DataError", "Mnist", "data_folder", "load"]
 
 #: SHA-256 of the uncompressed files (LeCun, Cortes and Burges), and the shape each holds.
@@ -24,7 +26,7 @@ FILES = {
 }
 
 
-class DataError(Exception):
+class DataError(UserError):
     """A data file is missing, unreadable or altered."""
 
 
@@ -32,10 +34,10 @@ class DataError(Exception):
 class Mnist:
     """Images in [0, 1] (pixel / 255, not centred) and labels 0-9."""
 
-    train_images: Float[Tensor, "60000 28 28"]
-    train_labels: Int[Tensor, "60000"]
-    test_images: Float[Tensor, "10000 28 28"]
-    test_labels: Int[Tensor, "10000"]
+    train_images: Float[Tensor, "N 28 28"]
+    train_labels: Int[Tensor, " N"]
+    test_images: Float[Tensor, "M 28 28"]
+    test_labels: Int[Tensor, " M"]
 
 
 def data_folder() -> Path:

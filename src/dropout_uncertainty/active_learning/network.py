@@ -5,6 +5,7 @@ stands before the convolutions, so everything up to the pooled features is the s
 once per image (``features``); only the dense head is repeated (``head``).
 """
 
+import itertools
 from collections.abc import Sequence
 
 import torch
@@ -35,7 +36,7 @@ class BayesianCNN(nn.Module):
             filters, pooling and dropout.
         drop: drop probabilities after pooling and after the dense layer, (0.25, 0.5) in the thesis.
         initialisation: "keras-0.3" or "glorot"; uniform weights, zero biases.
-        compute: dtype of convolutions and matrix products; parameters are float32, log-probabilities too.
+        compute: dtype of convolutions and matrix products; parameters and log-probabilities are at least float32.
 
     Raises:
         ValueError: if an argument is not one of those above.
@@ -57,6 +58,8 @@ class BayesianCNN(nn.Module):
         if blocks not in (1, 2) or kernel < 2:
             raise ValueError(f"expected 1 or 2 blocks and kernels of at least 2 pixels, got {blocks} and {kernel}")
         self.seeds, self.compute = tuple(seeds), compute
+        #: Of parameters, masks and the output layer.
+        self.dtype = torch.promote_types(compute, torch.float32)
         self.drop = (check_probability(drop[0]),) * blocks + (check_probability(drop[1]),)
         filters = [1, FILTERS, FILTERS, 2 * FILTERS, 2 * FILTERS][: 2 * blocks + 1]
         sides = [SIDE]
@@ -66,14 +69,14 @@ class BayesianCNN(nn.Module):
         self.widths = [filters[2 * b + 2] * sides[b + 1] ** 2 for b in range(blocks)] + [HIDDEN]
         fan_out, area = INITIALISATIONS[initialisation], kernel**2
         self.kernels, self.kernel_biases = nn.ParameterList(), nn.ParameterList()
-        for layer, (inside, outside) in enumerate(zip(filters[:-1], filters[1:], strict=True)):
+        for layer, (inside, outside) in enumerate(itertools.pairwise(filters)):
             shape = (outside, inside, kernel, kernel)
             self.kernels.append(self._uniform(shape, inside * area + fan_out(outside, area), *path, "kernel", layer))
-            self.kernel_biases.append(nn.Parameter(torch.zeros(len(self.seeds), outside)))
+            self.kernel_biases.append(nn.Parameter(torch.zeros(len(self.seeds), outside, dtype=self.dtype)))
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
         for layer, (inside, outside) in enumerate([(self.widths[-2], HIDDEN), (HIDDEN, CLASSES)]):
             self.weights.append(self._uniform((inside, outside), inside + outside, *path, "dense", layer))
-            self.biases.append(nn.Parameter(torch.zeros(len(self.seeds), 1, outside)))
+            self.biases.append(nn.Parameter(torch.zeros(len(self.seeds), 1, outside, dtype=self.dtype)))
 
     def _uniform(self, shape: tuple[int, ...], fans: int, *path: str | int) -> nn.Parameter:
         """Return [R, *shape] weights, uniform within ±sqrt(6 / fans)."""
@@ -82,7 +85,7 @@ class BayesianCNN(nn.Module):
         def draw(generator: Generator) -> Tensor:
             return torch.empty(shape).uniform_(-limit, limit, generator=generator)
 
-        return nn.Parameter(rng.stacked(draw, self.seeds, "init", *path))
+        return nn.Parameter(rng.stacked(draw, self.seeds, "init", *path).to(self.dtype))
 
     def _block(self, maps: Float[Tensor, "B RC H W"], block: int) -> Float[Tensor, "B RF h w"]:
         """Return two convolutions with relu, max-pooled; replicas are groups of channels."""
@@ -120,14 +123,14 @@ class BayesianCNN(nn.Module):
         if len(self.drop) == 3:  # the second block of the original scripts' first round
             features = self._second_block(features, masks[0])
         hidden = self._dense(features, masks[-2], 0, self.compute).relu()
-        # The output layer is in float32 whatever the precision: rounded logits would make scores tie.
-        return F.log_softmax(self._dense(hidden.float(), masks[-1], 1, torch.float32), -1)
+        # The output layer is not computed in bfloat16: rounded logits would make scores tie.
+        return F.log_softmax(self._dense(hidden, masks[-1], 1, self.dtype), -1)
 
     def forward(self, images: Float[Tensor, "R B 28 28"], masks: Masks | None = None) -> Float[Tensor, "R B 10"]:
         """Return log-probabilities of the ten classes."""
         return self.head(self.features(images), masks)
 
-    def _second_block(self, features: Float[Tensor, "R B F"], mask: Tensor | None) -> Float[Tensor, "R B F"]:
+    def _second_block(self, features: Float[Tensor, "R B F"], mask: Tensor | None) -> Float[Tensor, "R B G"]:
         replicas, batch, width = features.shape
         side = round((width / FILTERS) ** 0.5)
         kept = features if mask is None else (features * mask).to(self.compute)

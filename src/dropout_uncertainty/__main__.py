@@ -1,0 +1,5 @@
+"""``python -m dropout_uncertainty``."""
+
+from dropout_uncertainty.cli import main
+
+main()

@@ -1,0 +1,176 @@
+"""The command line: ``python -m dropout_uncertainty`` or ``dropout-uncertainty``."""
+
+import importlib
+import json
+import re
+import sys
+from concurrent.futures import Executor, ProcessPoolExecutor
+from typing import Annotated, Any
+
+import typer
+
+from dropout_uncertainty.errors import UserError
+
+__all__ = ["EXPERIMENTS", "app", "main"]
+
+#: Experiments by name, and the module that holds their configs and units.
+EXPERIMENTS = {
+    "active_learning": "dropout_uncertainty.active_learning.experiment",
+    "exploration": "dropout_uncertainty.exploration.experiment",
+    "data_efficiency": "dropout_uncertainty.data_efficiency.experiment",
+}
+
+app = typer.Typer(
+    help="Dropout uncertainty in action: make the book, run the experiments, look at the records.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+record_commands = typer.Typer(help="List and verify the stored records.", no_args_is_help=True)
+app.add_typer(record_commands, name="records")
+
+
+@app.command()
+def book(
+    profile: Annotated[str, typer.Option(help="recorded, quick or full")] = "recorded",
+    skip_run: Annotated[bool, typer.Option(help="build from the notebooks as last run")] = False,
+) -> None:
+    """Run all notebooks and build the HTML book."""
+    from dropout_uncertainty.book import build
+
+    build(profile, run=not skip_run)
+
+
+@app.command()
+def notebooks(
+    names: Annotated[list[str] | None, typer.Argument(help="without suffix; all by default")] = None,
+    profile: Annotated[str, typer.Option(help="recorded, quick or full")] = "recorded",
+) -> None:
+    """Run notebooks without building the book."""
+    from dropout_uncertainty.book import run_notebooks
+
+    run_notebooks(profile, names or None)
+
+
+@app.command()
+def run(
+    experiment: Annotated[str, typer.Argument(help=", ".join(EXPERIMENTS))],
+    config: Annotated[str, typer.Option(help="name of a config, or of a family of configs such as ours")],
+    seeds: Annotated[str, typer.Option(help="such as 0-4 or 0,3,7; published: 0-99, development: 100 and above")],
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
+    precision: Annotated[str | None, typer.Option(help="float64, float32 or bfloat16; default: the section's")] = None,
+    workers: Annotated[int, typer.Option(help="processes, one thread each", min=1)] = 1,
+) -> None:
+    """Compute the missing records of an experiment; a run that was stopped continues where it was."""
+    from dropout_uncertainty import runs
+
+    options: dict[str, Any] = {"device": runs.check_device(device)}
+    if precision is not None:
+        runs.precision_dtype(precision)
+        options["precision"] = precision
+    module = importlib.import_module(EXPERIMENTS[known(experiment.replace("-", "_"), EXPERIMENTS, "experiment")])
+    names = config_names(config, module.CONFIGS)
+    numbers = seed_list(seeds)
+    # Seed by seed, so that every config has its first repetition before any has its second.
+    by_seed = zip(*([unit for unit in module.units(name, numbers, **options)] for name in names), strict=True)
+    units = [unit for group in by_seed for unit in group]
+    for record in runs.run(units, executor=pool(workers)):
+        typer.echo(record.path)
+
+
+@record_commands.command("list")
+def list_records() -> None:
+    """List the stored records with their seeds and computing times."""
+    from dropout_uncertainty import records
+
+    for path, problem in records.verify():
+        label = path.relative_to(records.root())
+        if problem is None:
+            origin = records.read(path).header["provenance"]
+            commit = (origin["commit"] or "unknown")[:8]
+            typer.echo(f"{label}  {origin['wall_s'] / 60:.1f} min  {origin['date'][:10]}  {commit}")
+        else:
+            typer.echo(f"{label}  unreadable")
+
+
+@record_commands.command("verify")
+def verify_records() -> None:
+    """Check every stored record against its checksum, schema and config hash."""
+    from dropout_uncertainty import records
+
+    found = records.verify()
+    problems = [problem for _, problem in found if problem is not None]
+    for problem in problems:
+        typer.echo(problem, err=True)
+    typer.echo(f"{len(found) - len(problems)} of {len(found)} records are intact")
+    raise typer.Exit(code=1 if problems else 0)
+
+
+@app.command()
+def results(as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False) -> None:
+    """Print every number of the book beside the thesis's, with its interval and verdict."""
+    from dropout_uncertainty.claims import collect
+
+    found = collect()
+    if as_json:
+        typer.echo(json.dumps([result.plain() for result in found], indent=1, ensure_ascii=False))
+        return
+    for r in found:
+        numbers = " ".join(f"{name} {value:g}" for name, value in _numbers(r) if value is not None)
+        typer.echo(f"{r.id}: {numbers} {r.unit} ({r.statistic}; {len(r.seeds)} seeds) {r.verdict or ''}".rstrip())
+
+
+def _numbers(result: Any) -> list[tuple[str, float | None]]:
+    return [(name, getattr(result, name)) for name in ("thesis", "ours", "low", "high")]
+
+
+def known(name: str, choices: Any, what: str) -> str:
+    """Return ``name`` if it is one of the choices; raises UserError naming them otherwise."""
+    if name not in choices:
+        raise UserError(f"unknown {what} {name!r}, choose one of {', '.join(choices)}")
+    return name
+
+
+def config_names(name: str, configs: dict[str, Any]) -> list[str]:
+    """Return the configs of that name, or of the family of that name ("ours": all that begin with "ours/").
+
+    Raises:
+        UserError: if there is none.
+    """
+    if name in configs:
+        return [name]
+    family = [known_name for known_name in configs if known_name.startswith(f"{name}/")]
+    if not family:
+        known(name, list(dict.fromkeys([*(c.split("/")[0] for c in configs), *configs])), "config")
+    return family
+
+
+def seed_list(text: str) -> list[int]:
+    """Return the seeds that a text such as "0-4,7" names; raises UserError if it names none."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+        if match is None or (match[2] is not None and int(match[2]) < int(match[1])):
+            raise UserError(f"seeds are given like 0-4 or 0,3,7, got {text!r}")
+        seeds += range(int(match[1]), int(match[2] or match[1]) + 1)
+    return list(dict.fromkeys(seeds))
+
+
+def pool(workers: int) -> Executor | None:
+    """Return an executor of so many single-threaded processes; None, to run here, for one."""
+    return ProcessPoolExecutor(workers, initializer=_one_thread) if workers > 1 else None
+
+
+def _one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def main() -> None:
+    """Run the command line; a mistake of the caller is one sentence and exit status 2, without a traceback."""
+    try:
+        app()
+    except (UserError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -1,0 +1,69 @@
+"""The look of the book's figures: one style, one colour per method everywhere, mean and band."""
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+
+from dropout_uncertainty.stats import t_interval
+
+__all__ = ["COLOURS", "band", "style"]
+
+#: One colour per method, from the colour-blind safe palettes of Okabe and Ito (2008) and Tol (2021).
+COLOURS: dict[str, str] = {
+    "random": "#6c6c6c",
+    "max-entropy": "#E69F00",
+    "variation-ratios": "#0072B2",
+    "bald": "#D55E00",
+    "mean-std": "#CC79A7",
+    "least-confidence": "#009E73",
+    "thompson": "#0072B2",
+    "epsilon-greedy": "#117733",
+    "boltzmann": "#E69F00",
+    "annealed-thompson": "#882255",
+    "pilco": "#B8860B",
+    "deep-pilco": "#0072B2",
+    "deep-pilco-as-written": "#56B4E9",
+    "thesis": "#222222",
+}
+
+RC: dict[str, Any] = {
+    "figure.figsize": (7.2, 4.2),
+    "figure.dpi": 110,
+    "figure.facecolor": "white",
+    "savefig.bbox": "tight",
+    "font.size": 11,
+    "axes.titlesize": 12,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "lines.linewidth": 1.8,
+}
+
+
+@contextlib.contextmanager
+def style() -> Iterator[None]:
+    """Return a context in which figures have the style of the book."""
+    with mpl.rc_context(RC):  # type: ignore[arg-type]  # matplotlib lists every key
+        yield
+
+
+def use_style() -> None:
+    """Set the style of the book for the rest of a notebook."""
+    plt.rcParams.update(RC)  # type: ignore[arg-type]
+
+
+def band(ax: Axes, x: np.ndarray, curves: Float[np.ndarray, "R T"], *, colour: str, label: str, **line: Any) -> None:
+    """Draw the mean of R curves and the 95 % t interval around it; with a single curve, only the curve."""
+    ax.plot(x, curves.mean(0), color=colour, label=label, **line)
+    if len(curves) > 1:
+        limits = np.array([t_interval(column)[1:3] for column in curves.T])
+        ax.fill_between(x, limits[:, 0], limits[:, 1], color=colour, alpha=0.18, linewidth=0)

@@ -1,0 +1,107 @@
+"""Acquisition functions by hand, by their identities, and the choice among ties."""
+
+import math
+
+import pytest
+import torch
+
+from dropout_uncertainty import rng
+from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS, score, select
+
+
+def log_probs(*draws):
+    """Log-probabilities [S, N, C] from probabilities."""
+    return torch.tensor(draws, dtype=torch.float64).log()
+
+
+@pytest.fixture
+def random_draws():
+    logits = 3 * torch.randn(20, 50, 10, generator=rng.generator(100), dtype=torch.float64)
+    return logits.log_softmax(-1)
+
+
+def test_two_confident_opposite_draws():
+    draws = log_probs([[1.0, 0.0]], [[0.0, 1.0]])
+    assert score("bald", draws).item() == pytest.approx(math.log(2))
+    assert score("max-entropy", draws).item() == pytest.approx(math.log(2))
+    assert score("variation-ratios", draws).item() == 0.5
+    assert score("mean-std", draws).item() == 0.5
+    assert score("least-confidence", draws).item() == pytest.approx(0.5)
+
+
+def test_draws_that_agree_on_being_unsure_do_not_disagree():
+    draws = log_probs([[0.5, 0.5]], [[0.5, 0.5]])
+    assert score("bald", draws).item() == 0
+    assert score("max-entropy", draws).item() == pytest.approx(math.log(2))
+
+
+def test_variation_ratios_counts_votes():
+    draws = log_probs([[0.6, 0.3, 0.1]], [[0.1, 0.8, 0.1]], [[0.2, 0.7, 0.1]], [[0.3, 0.3, 0.4]])
+    assert score("variation-ratios", draws).item() == 0.5
+
+
+def test_a_single_draw_has_constant_bald_and_variation_ratios(random_draws):
+    one = random_draws[:1].float()
+    assert score("bald", one).unique().tolist() == [0.0]
+    assert score("variation-ratios", one).unique().tolist() == [0.0]
+    assert len(score("least-confidence", one).unique()) == 50
+
+
+def test_identities(random_draws):
+    bald, entropy = score("bald", random_draws), score("max-entropy", random_draws)
+    expected = entropy + (random_draws.exp() * random_draws).sum(-1).mean(0)
+    torch.testing.assert_close(bald, expected)
+    assert (bald >= 0).all()
+    assert (bald <= entropy).all()
+    assert (entropy <= math.log(10) + 1e-12).all()
+    assert (score("variation-ratios", random_draws) <= 0.9).all()
+
+
+@pytest.mark.parametrize("name", ACQUISITIONS)
+def test_the_order_of_draws_does_not_matter(name, random_draws):
+    torch.testing.assert_close(score(name, random_draws), score(name, random_draws.flip(0)), rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ACQUISITIONS)
+def test_probabilities_of_exactly_zero_are_fine(name):
+    scores = score(name, log_probs([[1.0, 0.0], [0.4, 0.6]], [[1.0, 0.0], [1.0, 0.0]]))
+    assert torch.isfinite(scores).all()
+    assert scores[0] == 0
+    assert scores[1] > 0
+
+
+def test_bad_predictions_are_refused():
+    with pytest.raises(ValueError, match="NaN"):
+        score("bald", torch.full((2, 3, 4), torch.nan))
+    with pytest.raises(ValueError, match="above 0"):
+        score("bald", torch.full((2, 3, 4), 0.25))
+    with pytest.raises(ValueError, match=r"\[S, N, C\]"):
+        score("bald", torch.zeros(3, 0, 4))
+    with pytest.raises(ValueError, match="unknown acquisition function 'entropy', choose one of random"):
+        score("entropy", torch.zeros(1, 1, 1))
+
+
+def test_select_takes_the_best_and_counts_ties():
+    selection = select(torch.tensor([0.1, 0.9, 0.5, 0.5, 0.5, 0.2]), 2, rng.generator(100))
+    assert selection.positions[0] == 1
+    assert selection.positions[1] in (2, 3, 4)
+    assert (selection.tied, selection.all_tied) == (3, False)
+
+
+def test_ties_are_broken_at_random_and_evenly():
+    counts = torch.zeros(10)
+    for seed in range(100, 1100):
+        with pytest.warns(UserWarning, match="all scores are equal"):
+            selection = select(torch.zeros(10), 3, rng.generator(seed))
+        assert selection.all_tied
+        counts[selection.positions] += 1
+    # 300 expected, standard deviation sqrt(1000 * 0.3 * 0.7) = 14.5
+    assert (counts - 300).abs().max() < 5 * 14.5
+
+
+def test_select_refuses_what_cannot_be_ranked():
+    with pytest.raises(ValueError, match="1 of 2 scores are NaN or infinite"):
+        select(torch.tensor([0.0, torch.nan]), 1, rng.generator(100))
+    with pytest.raises(ValueError, match="at least one score"):
+        select(torch.zeros(0), 1, rng.generator(100))
+    assert len(select(torch.tensor([0.3, 0.1]), 5, rng.generator(100)).positions) == 2

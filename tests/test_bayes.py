@@ -1,0 +1,71 @@
+import pytest
+import torch
+
+from dropout_uncertainty import rng
+from dropout_uncertainty.bayes import MLP, dropout_mask, weight_decay
+
+
+@pytest.mark.parametrize("p", [0.25, 0.5, 0.1])
+def test_masks_hold_two_values_and_have_mean_one(p):
+    mask = dropout_mask((200, 1000), p, rng.generator(100))
+    assert mask.unique().tolist() == pytest.approx([0.0, 1 / (1 - p)])
+    standard_error = (p / (1 - p) / mask.numel()) ** 0.5
+    assert abs(mask.mean().item() - 1) < 4 * standard_error
+    rows = mask.mean(1)
+    assert abs(rows.var().item() / (p / (1 - p) / 1000) - 1) < 0.5, "entries of a row are not independent"
+
+
+@pytest.mark.parametrize("p", [-0.1, 1.0, 1.5, float("nan")])
+def test_probabilities_outside_0_1_are_refused(p):
+    with pytest.raises(ValueError, match="drop probability"):
+        dropout_mask((2,), p, rng.generator(100))
+
+
+def test_weight_decay_by_hand():
+    # (1 - 0.2) * 2^2 / (2 * 10 * 4) = 0.04
+    assert weight_decay(10, 0.2, 2.0, 4.0) == pytest.approx(0.04)
+    with pytest.raises(ValueError, match="positive"):
+        weight_decay(0, 0.2, 2.0, 4.0)
+
+
+@pytest.fixture
+def net():
+    return MLP((3, 20, 2), (0.0, 0.5), seeds=(100, 101), dtype=torch.float64)
+
+
+def test_the_mlp_is_the_formula(net):
+    x = torch.randn(2, 5, 3, generator=rng.generator(100, "x"), dtype=torch.float64)
+    masks = net.draw(5, "step", 0)
+    assert masks[0] is None
+    assert masks[1].shape == (2, 5, 20)
+    for r in range(2):
+        hidden = torch.relu(x[r] @ net.weights[0][r] + net.biases[0][r]) * masks[1][r]
+        torch.testing.assert_close(net(x, masks)[r], hidden @ net.weights[1][r] + net.biases[1][r])
+
+
+def test_a_held_draw_repeats_and_a_fresh_draw_differs(net):
+    x = torch.ones(2, 5, 3, dtype=torch.float64)
+    held = net.draw(5, "trajectory")
+    assert torch.equal(net(x, held), net(x, held))
+    assert not torch.equal(net(x, held), net(x, net.draw(5, "another")))
+
+
+def test_weight_scaling_is_the_mean_over_draws_of_a_linear_layer():
+    net = MLP((30, 1), (0.5,), seeds=(100,), dtype=torch.float64)
+    x = torch.ones(1, 1, 30, dtype=torch.float64)
+    draws = net(x.expand(1, 20_000, 30), net.draw(20_000))
+    standard_error = draws.std() / 20_000**0.5
+    assert abs(draws.mean() - net(x).squeeze()) < 4 * standard_error
+
+
+def test_a_replica_alone_equals_itself_among_others(net):
+    alone = MLP((3, 20, 2), (0.0, 0.5), seeds=(101,), dtype=torch.float64)
+    x = torch.ones(2, 4, 3, dtype=torch.float64)
+    torch.testing.assert_close(net(x, net.draw(4, 9))[1:], alone(x[1:], alone.draw(4, 9)), rtol=1e-12, atol=0)
+
+
+def test_impossible_networks_are_refused():
+    with pytest.raises(ValueError, match="one drop probability per weight layer"):
+        MLP((3, 4, 2), (0.1,), seeds=(100,))
+    with pytest.raises(ValueError, match="unknown activation"):
+        MLP((3, 4, 2), (0.1, 0.1), seeds=(100,), activation="swish")

@@ -1,0 +1,25 @@
+"""What a run may import: no plots, no notebook, no book. The import-linter contracts say the same of single modules."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "src" / "dropout_uncertainty"
+FOR_READERS = {"book", "sphinx_ext", "display", "plotting", "figures", "animation"}
+UNWANTED = ["matplotlib", "IPython", "ipykernel", "papermill", "nbformat", "sphinx", "markdown_it", "pandas"]
+
+
+def run_modules():
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        if parts[-1] not in FOR_READERS and not parts[-1].startswith("__"):
+            yield ".".join(parts)
+
+
+def test_runs_import_nothing_that_only_readers_need():
+    modules = list(run_modules())
+    assert "dropout_uncertainty.runs" in modules
+    program = f"import sys, {', '.join(modules)}; print(*sorted(set({UNWANTED}) & set(sys.modules)))"
+    outcome = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert outcome.returncode == 0, outcome.stderr
+    assert outcome.stdout.split() == []

@@ -1,0 +1,62 @@
+"""Notebooks are committed as they should be read: no outputs, short cells, one place to choose the profile."""
+
+import ast
+from pathlib import Path
+
+import nbformat
+import papermill
+import pytest
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+LONGEST_CELL = 25
+
+every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+def code_cells(path):
+    return [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+
+
+def test_there_are_notebooks():
+    assert NOTEBOOKS
+
+
+@every_notebook
+def test_notebook_is_committed_without_outputs(path):
+    for cell in code_cells(path):
+        assert not cell.outputs, f"clear the outputs of {path.name}"
+        assert cell.execution_count is None, f"clear the execution counts of {path.name}"
+
+
+@every_notebook
+def test_exactly_one_cell_holds_the_parameters(path):
+    cells = [cell for cell in code_cells(path) if "parameters" in cell.metadata.get("tags", [])]
+    assert len(cells) == 1
+    names = {target.id for line in ast.parse(cells[0].source).body for target in line.targets}
+    assert "profile" in names
+
+
+@every_notebook
+def test_cells_are_short(path):
+    long = [cell.source.splitlines()[0] for cell in code_cells(path) if len(cell.source.splitlines()) > LONGEST_CELL]
+    assert not long, f"cells of more than {LONGEST_CELL} lines: move the work to src/ ({long})"
+
+
+@every_notebook
+def test_cells_that_draw_describe_the_picture(path):
+    for cell in code_cells(path):
+        if "subplots(" in cell.source or "figure" in cell.metadata.get("mystnb", {}):
+            alt = cell.metadata.get("mystnb", {}).get("image", {}).get("alt", "")
+            assert len(alt) > 30, f"{path.name}: say in the alt text what is to be seen: {cell.source.splitlines()[0]}"
+
+
+@every_notebook
+def test_every_notebook_is_in_the_table_of_contents(path):
+    assert f"file: {path.stem}\n" in (ROOT / "book" / "_toc.yml").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow  # continuous integration runs every notebook through `make quick`
+@every_notebook
+def test_notebook_runs_in_profile_quick(path, tmp_path):
+    papermill.execute_notebook(path, tmp_path / path.name, {"profile": "quick"}, cwd=path.parent, progress_bar=False)

@@ -1,0 +1,145 @@
+"""Runs survive kills, full disks and each other, and end with the same arrays."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import toy
+
+from dropout_uncertainty import records, runs
+from dropout_uncertainty.records import RecordError
+from dropout_uncertainty.runs import RunError
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture
+def every_step(monkeypatch):
+    monkeypatch.setattr(runs, "CHECKPOINT_SECONDS", -1.0)
+
+
+def child(folder, body):
+    """Start a Python process that works on toy units, with a checkpoint after every step."""
+    code = f"from pathlib import Path; import toy; from dropout_uncertainty import runs; folder = Path({str(folder)!r})"
+    code += f"\nruns.CHECKPOINT_SECONDS = -1.0\n{body}"
+    return subprocess.Popen([sys.executable, "-c", code], cwd=HERE, stderr=subprocess.PIPE, text=True)
+
+
+def test_a_finished_unit_is_not_computed_again(tmp_path):
+    first = runs.run([toy.unit()], folder=tmp_path, progress=False)[0]
+    written = first.path.stat().st_mtime_ns
+    assert first.arrays["path"].shape == (2, 40)
+    assert runs.run_unit(toy.unit(), tmp_path).path.stat().st_mtime_ns == written
+    assert not list((tmp_path / ".partial").glob("*.pt"))
+
+
+def test_killed_at_any_moment_it_continues_to_the_same_arrays(tmp_path):
+    expected = runs.run_unit(toy.unit(seconds=0.02), tmp_path / "whole").header["checksum"]
+    kills = 0
+    for pause in (0.0, 0.1, 0.25, 0.05):
+        process = child(tmp_path / "killed", "runs.run_unit(toy.unit(seconds=0.02), folder)")
+        deadline = time.monotonic() + 60
+        while not list(tmp_path.glob("killed/.partial/*.pt")) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(pause)
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        kills += process.returncode == -signal.SIGKILL
+    record = runs.run_unit(toy.unit(seconds=0.02), tmp_path / "killed")
+    assert kills >= 2
+    assert record.header["provenance"]["interruptions"] >= 1
+    assert record.header["checksum"] == expected
+
+
+def test_a_damaged_checkpoint_means_starting_again(tmp_path, every_step):
+    class Stop(Exception):
+        pass
+
+    def stopping(config, seeds, **options):
+        process = toy.start(config, seeds, **options)
+        advance = process.advance
+
+        def until_ten():
+            if process.done == 10:
+                raise Stop
+            return advance()
+
+        process.advance = until_ten
+        return process
+
+    with pytest.raises(Stop):
+        runs.run_unit(replace(toy.unit(), start=stopping), tmp_path)
+    (checkpoint,) = (tmp_path / ".partial").glob("*.pt")
+    checkpoint.write_bytes(checkpoint.read_bytes()[:-20])
+    resumed = runs.run_unit(toy.unit(), tmp_path)
+    assert resumed.header["checksum"] == runs.run_unit(toy.unit(), tmp_path / "other").header["checksum"]
+
+
+def test_two_processes_do_not_compute_the_same_unit(tmp_path):
+    process = child(tmp_path, "runs.run_unit(toy.unit(seconds=0.3), folder)")
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob(".partial/*.pt")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    with pytest.raises(RunError, match="another process is computing toy/walk/100-101"):
+        runs.run_unit(toy.unit(seconds=0.3), tmp_path)
+    process.kill()
+    process.communicate()
+
+
+def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (600, 600))"
+    attempt = "try:\n    runs.run_unit(toy.unit(), folder)\nexcept runs.RecordError as e:\n    raise SystemExit(str(e))"
+    body = f"{limit}\n{attempt}"
+    process = child(tmp_path, body)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "cannot write" in errors.splitlines()[-1]
+    assert not list(tmp_path.rglob("*.npz"))
+    assert runs.run_unit(toy.unit(), tmp_path).arrays["path"].shape == (2, 40)
+
+
+def test_an_output_folder_that_is_a_file(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(RecordError, match="cannot write below"):
+        runs.run_unit(toy.unit(), tmp_path / "file")
+
+
+def test_a_record_of_another_config_is_not_passed_off(tmp_path):
+    runs.run_unit(toy.unit(), tmp_path)
+    with pytest.raises(RunError, match="another config"):
+        runs.run_unit(toy.unit(steps=41), tmp_path)
+
+
+@pytest.mark.parametrize("executor", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_any_executor_gives_the_same_records(tmp_path, executor):
+    units = [replace(toy.unit(), seeds=(seed,)) for seed in (100, 101)]
+    with executor(2) as pool:
+        found = runs.run(units, executor=pool, folder=tmp_path, progress=False)
+    together = runs.run_unit(toy.unit(), tmp_path)
+    for replica, record in enumerate(found):
+        np.testing.assert_array_equal(record.arrays["path"][0], together.arrays["path"][replica])
+
+
+def test_devices_and_precisions():
+    assert runs.check_device("cpu") == "cpu"
+    with pytest.raises(RunError, match="unknown device"):
+        runs.check_device("tpu")
+    with pytest.raises(ValueError, match="unknown precision"):
+        runs.precision_dtype("float16")
+    if not runs.torch.cuda.is_available():
+        with pytest.raises(RunError, match="no CUDA GPU"):
+            runs.check_device("cuda")
+
+
+def test_the_provenance_says_where_a_record_comes_from():
+    origin = records.provenance()
+    assert {"commit", "dirty", "torch", "processor", "date"} <= origin.keys()
+    if os.path.isdir(HERE.parent / ".git"):
+        assert len(origin["commit"]) == 40

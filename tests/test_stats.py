@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+from scipy import stats as scipy_stats
+
+from dropout_uncertainty import stats
+
+
+def test_t_interval_is_scipys():
+    values = [1.0, 2.0, 4.0, 4.5]
+    expected = scipy_stats.ttest_1samp(values, 0).confidence_interval(0.95)
+    assert stats.t_interval(values) == pytest.approx((np.mean(values), expected.low, expected.high, 4))
+    assert np.isnan(stats.t_interval([3.0]).low)
+
+
+def test_first_crossing():
+    assert stats.first_crossing(np.array([9, 5, 7, 4]), 5.0) == 1
+    assert stats.first_crossing(np.array([9, 8]), 5.0) == np.inf
+    assert stats.first_crossing(np.array([0, 2, 1]), 2.0, above=True) == 1
+
+
+def test_median_filter_removes_a_single_dip():
+    curve = np.array([9.0, 8, 2, 8, 7, 6, 6, 6])
+    assert stats.median_filter(curve, 5).min() >= 6
+    np.testing.assert_array_equal(stats.median_filter(curve, 1), curve)
+
+
+def test_a_crossing_that_some_resamples_never_reach_has_an_infinite_limit():
+    never, at_once = np.full(5, 9.0), np.zeros(5)
+    interval = stats.crossing_interval(np.stack([never, at_once, at_once, at_once]), 5.0)
+    assert interval.value == 0
+    assert interval.high == np.inf
+
+
+def test_bootstrap_interval_covers_the_mean_as_often_as_it_says():
+    generator = np.random.default_rng(100)
+    hits = 0
+    for _ in range(100):
+        sample = generator.normal(size=30)
+        interval = stats.bootstrap_interval(lambda i, s=sample: s[i].mean(), 30)
+        hits += interval.low <= 0 <= interval.high
+    assert 85 <= hits <= 99
+
+
+def test_paired_samples_must_pair_up():
+    with pytest.raises(ValueError, match="one value per seed"):
+        stats.paired_difference([1.0, 2.0], [1.0, 2.0, 3.0])
+    assert stats.paired_difference([2.0, 3.0, 5.0], [1.0, 2.0, 4.0]).value == 1
