@@ -6,6 +6,7 @@ applies both.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Protocol, runtime_checkable
 
 import torch
@@ -102,11 +103,17 @@ def squash(u: Float[Tensor, "*batch"], limit: float) -> Float[Tensor, "*batch"]:
 
 def squash_moments(u: Gaussian, limit: float) -> Moments:
     """Return the moments of `squash`, element by element, for a Gaussian u."""
-    identity = torch.eye(u.mean.shape[-1], dtype=u.mean.dtype, device=u.mean.device)
-    harmonics = linear_moments(u, torch.cat((identity, 3 * identity), 1))
-    sines = sine_moments(harmonics.out)
-    squashed = linear_moments(sines.out, limit / 8 * torch.cat((9 * identity, identity)))
-    return Moments(squashed.mean, squashed.cov, harmonics.slope @ sines.slope @ squashed.slope)
+    _, spread, mix = _squash_constants(u.mean.shape[-1], u.mean.dtype, u.mean.device)
+    sines = sine_moments(linear_moments(u, spread).out)
+    squashed = linear_moments(sines.out, limit * mix)
+    return Moments(squashed.mean, squashed.cov, spread @ sines.slope @ squashed.slope)
+
+
+@cache
+def _squash_constants(width: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the identity, the map from u to (u, 3u), and that from their sines to the squash."""
+    identity = torch.eye(width, dtype=dtype, device=device)
+    return identity, torch.cat((identity, 3 * identity), 1), torch.cat((9 * identity, identity)) / 8
 
 
 def force(controller: Controller, plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
@@ -122,5 +129,5 @@ def force_moments(controller: Controller, limit: float, x: Gaussian) -> Moments:
 
 
 def _jittered(u: Moments) -> Moments:
-    identity = torch.eye(u.mean.shape[-1], dtype=u.cov.dtype, device=u.cov.device)
+    identity, _, _ = _squash_constants(u.mean.shape[-1], u.mean.dtype, u.mean.device)
     return Moments(u.mean, u.cov + VARIANCE_JITTER * identity, u.slope)

@@ -9,7 +9,7 @@ Formulas: Deisenroth, Efficient Reinforcement Learning using Gaussian Processes 
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import torch
@@ -60,18 +60,26 @@ def sine_moments(x: Gaussian) -> Moments:
 
 def feature_moments(state: Gaussian) -> Moments:
     """Return the moments of (x, v, w, sin theta, cos theta) of a Gaussian state (x, v, w, theta)."""
-    theta = Gaussian(state.mean[..., 3:], state.cov[..., 3:, 3:])
-    twice = torch.ones_like(theta.mean[..., None]).expand(*theta.mean.shape, 2)
-    quarter = theta.mean.new_tensor([0.0, torch.pi / 2])
-    shifted = linear_moments(theta, twice, quarter)  # cos theta = sin(theta + pi / 2)
-    trig = sine_moments(shifted.out)
-    slope = state.cov.new_zeros(*state.cov.shape[:-2], 4, 5)
-    slope[..., [0, 1, 2], [0, 1, 2]] = 1.0
-    slope[..., 3:, 3:] = shifted.slope @ trig.slope
-    cross = state.cov @ slope  # of state and features
-    top = torch.cat((state.cov[..., :3, :3], cross[..., :3, 3:]), -1)
-    bottom = torch.cat((cross[..., :3, 3:].mT, trig.cov), -1)
-    return Moments(torch.cat((state.mean[..., :3], trig.mean), -1), torch.cat((top, bottom), -2), slope)
+    twice, shift, keep, place, last = _feature_constants(state.mean.dtype, state.mean.device)
+    # (x, v, w, theta, theta + pi / 2), since cos theta = sin(theta + pi / 2)
+    angles = linear_moments(Gaussian(state.mean[..., 3:], state.cov[..., 3:, 3:]), twice, shift)
+    trig = sine_moments(angles.out)
+    turn = (twice @ trig.slope) @ place  # d(features) / d theta [..., 1, 5]
+    slope = keep + last * turn
+    mean = torch.cat((state.mean[..., :3], trig.mean), -1)
+    # cov(features) is slope' cov slope but for the block of sine and cosine, which has more than its linear part
+    linear = slope.mT @ state.cov @ slope
+    extra = trig.cov - linear[..., 3:, 3:]
+    return Moments(mean, linear + place.mT @ extra @ place, slope)
+
+
+@cache
+def _feature_constants(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    identity = torch.eye(5, dtype=dtype, device=device)
+    twice = torch.ones(1, 2, dtype=dtype, device=device)
+    shift = torch.tensor([0.0, torch.pi / 2], dtype=dtype, device=device)
+    keep = torch.cat((identity[:3], torch.zeros_like(identity[:1])))
+    return twice, shift, keep, identity[3:], identity.new_tensor([[0.0], [0], [0], [1]])
 
 
 @dataclass(frozen=True)
@@ -104,8 +112,11 @@ class SquaredExponential:
 
     @cached_property
     def curvature(self) -> Tensor:
-        """The outer product of the weights less the precision [R, E, N, N]."""
-        return self.weights[..., :, None] * self.weights[..., None, :] - self.precision
+        """Per pair of outputs i <= j, the outer product of weights, less the precision where i = j [R, P, N, N]."""
+        first, second = _pairs(self.weights.shape[1], self.weights.device)
+        product = self.weights[:, first, :, None] * self.weights[:, second, None]
+        product[:, first == second] -= self.precision
+        return product
 
     def __call__(self, x: Float[Tensor, "R *K D"]) -> Float[Tensor, "R *K E"]:
         """Return the functions' (mean) values at points."""
@@ -128,13 +139,13 @@ class SquaredExponential:
 
         Gradients with respect to the functions' own parameters exist only without `precision`.
         """
-        difference = self.centres - x.mean[..., None, :]
-        mean, slope = _expectation(self, difference, x.cov)
         if self.precision is None:
-            second = _second_moment(self, difference, x.cov)
+            z = self.centres - x.mean[:, None]
+            mean, slope = _expectation(self, z, x.cov)
+            square = _second_moment(self, z, x.cov)
         else:
-            second = PosteriorSecondMoment.apply(x.mean, x.cov, self)
-        return Moments(mean, second - mean[..., :, None] * mean[..., None, :], slope)
+            mean, slope, square = PosteriorMoments.apply(x.mean, x.cov, self)
+        return Moments(mean, square - mean[..., :, None] * mean[..., None, :], slope)
 
 
 def squared_exponential(x: Tensor, y: Tensor, log_length_scales: Tensor, log_signal_std: Tensor) -> Tensor:
@@ -146,131 +157,162 @@ def squared_exponential(x: Tensor, y: Tensor, log_length_scales: Tensor, log_sig
     return torch.exp(2 * log_signal_std[..., None, None] - distance / 2)
 
 
-def _expectation(f: SquaredExponential, difference: Tensor, cov: Tensor) -> tuple[Tensor, Tensor]:
-    """Return E f [R, E] and E f' [R, D, E]."""
-    inverse = torch.exp(-f.log_length_scales)  # [R, E, D]
-    system = inverse[..., :, None] * cov[:, None] * inverse[..., None, :]
-    system = system + torch.eye(cov.shape[-1], dtype=cov.dtype, device=cov.device)
-    factor = torch.linalg.cholesky(system)
-    scaled = difference[:, None] * inverse[..., None, :]  # [R, E, N, D]
-    solved = torch.cholesky_solve(scaled.mT, factor).mT
-    log_det = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-    height = torch.exp((2 * f.log_signal_std - log_det)[..., None] - (scaled * solved).sum(-1) / 2) * f.weights
-    slope = (height[..., None, :] @ solved)[..., 0, :] * inverse
+def _expectation(f: SquaredExponential, z: Tensor, cov: Tensor) -> tuple[Tensor, Tensor]:
+    """Return mean [R, E] and slope [R, D, E], with gradients with respect to everything; z = centres - mean."""
+    inverse_scale = torch.exp(-f.log_length_scales)  # [R, E, D]
+    inverse, log_det = _SPDInverse.apply(_system(cov, inverse_scale))
+    scaled = z[:, None] * inverse_scale[..., None, :]  # [R, E, N, D]
+    pull = scaled @ inverse
+    exponent = (2 * f.log_signal_std - log_det / 2)[..., None] - (scaled * pull).sum(-1) / 2
+    height = torch.exp(exponent) * f.weights
+    slope = (height[..., None, :] @ pull)[..., 0, :] * inverse_scale
     return height.sum(-1), slope.mT
 
 
-def _second_moment(f: SquaredExponential, difference: Tensor, cov: Tensor) -> Tensor:
-    """Return E f_i f_j [R, E, E]: the plain formula, with gradients with respect to everything."""
-    precision = torch.exp(-2 * f.log_length_scales)
-    scaled = difference[:, None] * precision[..., None, :]  # [R, E, N, D]
-    log_height = 2 * f.log_signal_std[..., None] - (scaled * difference[:, None]).sum(-1) / 2
-    total = precision[:, :, None] + precision[:, None]  # [R, E, E, D]
-    system = torch.eye(cov.shape[-1], dtype=cov.dtype, device=cov.device) + cov[:, None, None] * total[..., None, :]
-    gain = torch.linalg.solve(system, cov[:, None, None].expand_as(system))
+def _second_moment(f: SquaredExponential, z: Tensor, cov: Tensor) -> Tensor:
+    """Return E f_i f_j [R, E, E] of the functions as they are, with gradients with respect to everything."""
+    inverse_square = f.inverse_square
+    scaled = z[:, None] * inverse_square[..., None, :]  # [R, E, N, D]
+    log_height = 2 * f.log_signal_std[..., None] - (scaled * z[:, None]).sum(-1) / 2
+    root = (inverse_square[:, :, None] + inverse_square[:, None]).sqrt()  # [R, E, E, D]
+    inverse, log_det = _SPDInverse.apply(_system(cov, root))
+    gain = (inverse * (root[..., None, :] / root[..., :, None])) @ cov[:, None, None]  # (I + cov root^2)^-1 cov
     left = scaled[:, :, None] @ gain  # [R, E, E, N, D]
-    own = (left * scaled[:, :, None]).sum(-1) / 2
-    other = ((scaled[:, None] @ gain) * scaled[:, None]).sum(-1) / 2
-    exponent = (log_height[:, :, None] + own)[..., :, None] + (log_height[:, None] + other)[..., None, :]
-    product = torch.exp(exponent + left @ scaled[:, None].mT)
-    sums = (f.weights[:, :, None, None] @ product @ f.weights[:, None, ..., None])[..., 0, 0]
-    return sums / torch.linalg.det(system).sqrt()
+    own = log_height[:, :, None] + (left * scaled[:, :, None]).sum(-1) / 2
+    other = log_height[:, None] + ((scaled[:, None] @ gain) * scaled[:, None]).sum(-1) / 2
+    exponent = left @ scaled[:, None].mT + (own - log_det[..., None] / 2)[..., :, None] + other[..., None, :]
+    return ((f.weights[:, :, None, None] @ exponent.exp()) @ f.weights[:, None, ..., None])[..., 0, 0]
 
 
-class PosteriorSecondMoment(torch.autograd.Function):
-    """E f_i f_j [R, E, E] under a Gaussian input and the posterior over f: the part of PILCO that grows with N^2.
+class PosteriorMoments(torch.autograd.Function):
+    """Mean, slope and second moment E f f' under a Gaussian input and the posterior over f.
 
-    For outputs i <= j it sums W_nm = G_nm exp(e_nm), where G = weights_i weights_j' (less the precision where
-    i = j) and e is a quadratic form in the differences z_n, z_m of the centres to the input's mean.
-    Everything that the gradient needs are the sums of W, W z, z W z' over n and m, so these are taken while a
-    block of W is in the cache and no N x N array is kept. Only mean and covariance of the input get
-    gradients.
+    This is the part of PILCO that grows with N^2, so value and gradient are worked out by hand in one pass. A mean
+    value g(m, S) over a Gaussian has dg/dm = slope and dg/dS = half its second derivative in m; those of g are sums over
+    centres. For outputs i <= j the second moment sums W_nm = curvature_nm exp(e_nm), e a quadratic form in the
+    differences z_n, z_m of the centres to m. All that its gradient needs are sums of W, W z and z W z', taken while a
+    block of W is in the cache, so that no N x N array is kept. Only mean and covariance of the input get gradients.
     """
 
     @staticmethod
-    def forward(ctx, mean: Tensor, cov: Tensor, f: SquaredExponential) -> Tensor:
-        """Return the second moments and keep their gradients for the backward pass."""
-        replicas, outputs = f.log_signal_std.shape
+    def forward(ctx, mean: Tensor, cov: Tensor, f: SquaredExponential) -> tuple[Tensor, Tensor, Tensor]:
+        """Return mean [R, E], slope [R, D, E], second moment [R, E, E]; keep what their gradients need."""
+        outputs = f.weights.shape[1]
         first, second = _pairs(outputs, mean.device)
-        total = f.inverse_square[:, first] + f.inverse_square[:, second]  # [R, P, D]
+        own = f.inverse_square
+        total = torch.cat((own, own[:, first] + own[:, second]), 1)  # [R, E + P, D]
         root = total.sqrt()
-        system = root[..., :, None] * cov[:, None] * root[..., None, :]
-        system.diagonal(dim1=-2, dim2=-1).add_(1)
-        factor = torch.linalg.cholesky_ex(system).L
-        shrink = torch.cholesky_inverse(factor) / root[..., :, None] * root[..., None, :]  # (I + cov total)^-1
-        gain = shrink @ cov[:, None]
-
+        inverse, log_det = _spd_inverse(_system(cov, root))
+        shrink = inverse / root[..., :, None] * root[..., None, :]  # (I + cov total)^-1
         z = f.centres - mean[:, None]
-        scaled = z[:, None] * f.inverse_square[..., None, :]  # [R, E, N, D]
-        log_height = 2 * f.log_signal_std[..., None] - (scaled * z[:, None]).sum(-1) / 2
-        left, right = scaled[:, first], scaled[:, second]
-        bent = left @ gain
-        own = log_height[:, first] + (bent * left).sum(-1) / 2
-        own = own - factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)[..., None]
-        other = log_height[:, second] + ((right @ gain) * right).sum(-1) / 2
-        ones = torch.ones_like(own[..., None])
-        row = torch.cat((bent, own[..., None], ones), -1)
-        column = torch.cat((right, ones, other[..., None]), -1)
-        basis = torch.cat((torch.ones_like(z[..., :1]), z), -1)  # [R, N, 1 + D]
 
-        sums, weight_n, weight_m = _weighted_sums(f, row, column, basis, first, second)
-        spread_n, spread_m = ((z.mT[:, None] * w[..., None, :]) @ z[:, None] for w in (weight_n, weight_m))
-        li, lj = f.inverse_square[:, first], f.inverse_square[:, second]
-        linear = li * sums[..., 1:, 0] + lj * sums[..., 0, 1:]
-        mixed = li[..., :, None] * sums[..., 1:, 1:] * lj[..., None, :]
-        square = li[..., :, None] * spread_n * li[..., None, :] + lj[..., :, None] * spread_m * lj[..., None, :]
-        square = square + mixed + mixed.mT
-        value = sums[..., 0, 0]
-        d_mean = (shrink.mT @ linear[..., None])[..., 0]
-        d_cov = (shrink.mT @ square @ shrink - value[..., None, None] * total[..., :, None] * shrink) / 2
-        ctx.save_for_backward(d_mean, d_cov)
-        result = mean.new_zeros(replicas, outputs, outputs)
-        result[:, first, second] = value
-        result[:, second, first] = value
-        result.diagonal(dim1=-2, dim2=-1).add_(torch.exp(2 * f.log_signal_std))
-        return result
+        metric = shrink[:, :outputs].mT * own[..., None, :]  # (cov + squared length-scales)^-1
+        pull = z[:, None] @ metric  # [R, E, N, D]
+        exponent = 2 * f.log_signal_std - log_det[:, :outputs] / 2
+        height = torch.exp(exponent[..., None] - (pull * z[:, None]).sum(-1) / 2) * f.weights
+        slope = (height[..., None, :] @ pull)[..., 0, :]
+        bend = pull.mT @ (height[..., None] * pull) - height.sum(-1)[..., None, None] * metric
+
+        value, d_mean, d_cov = _pair_sums(f, z, cov, total[:, outputs:], shrink[:, outputs:], log_det[:, outputs:])
+        ctx.save_for_backward(d_mean, d_cov, slope, bend, pull, height, metric)
+        square = mean.new_zeros(*f.weights.shape[:2], outputs)
+        square[:, first, second] = value
+        square[:, second, first] = value
+        square.diagonal(dim1=-2, dim2=-1).add_(torch.exp(2 * f.log_signal_std))
+        return height.sum(-1), slope.mT, square
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, grad: Tensor) -> tuple[Tensor, Tensor, None]:
-        """Contract the kept gradients."""
-        d_mean, d_cov = ctx.saved_tensors
-        first, second = _pairs(grad.shape[-1], grad.device)
-        share = (grad + grad.mT)[:, first, second] * torch.where(first == second, 0.5, 1.0)
-        return (share[..., None] * d_mean).sum(1), (share[..., None, None] * d_cov).sum(1), None
+    def backward(ctx, g_mean: Tensor, g_slope: Tensor, g_square: Tensor) -> tuple[Tensor, Tensor, None]:
+        """Contract the kept derivatives; the third derivative of g only along the slope's gradient."""
+        d_mean, d_cov, slope, bend, pull, height, metric = ctx.saved_tensors
+        first, second = _pairs(g_mean.shape[-1], g_mean.device)
+        share = (g_square + g_square.mT)[:, first, second] * torch.where(first == second, 0.5, 1.0)
+        along = g_slope.mT[..., None]  # [R, E, D, 1]
+        weight = height[..., None] * (pull @ along)  # [R, E, N, 1]
+        side = (metric @ along) * slope[..., None, :]
+        third = pull.mT @ (weight * pull) - weight.sum(-2, keepdim=True) * metric - side - side.mT
+        curved = (g_mean[..., None, None] * bend + third).sum(1) / 2
+        in_mean = (g_mean[..., None] * slope + (bend @ along)[..., 0]).sum(1) + (share[..., None] * d_mean).sum(1)
+        return in_mean, curved + (share[..., None, None] * d_cov).sum(1), None
 
 
+def _pair_sums(
+    f: SquaredExponential, z: Tensor, cov: Tensor, total: Tensor, shrink: Tensor, log_det: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return sum W [R, P] per pair of outputs and its gradients in mean [R, P, D] and covariance [R, P, D, D]."""
+    first, second = _pairs(f.weights.shape[1], z.device)
+    li, lj = f.inverse_square[:, first], f.inverse_square[:, second]
+    scaled = z[:, None] * f.inverse_square[..., None, :]  # [R, E, N, D]
+    log_height = 2 * f.log_signal_std[..., None] - (scaled * z[:, None]).sum(-1) / 2
+    left, right, gain = scaled[:, first], scaled[:, second], shrink @ cov[:, None]
+    bent = left @ gain
+    own = log_height[:, first] + ((bent * left).sum(-1) - log_det[..., None]) / 2
+    other = log_height[:, second] + ((right @ gain) * right).sum(-1) / 2
+    ones = torch.ones_like(own[..., None])
+    row = torch.cat((bent, own[..., None], ones), -1).flatten(0, 1)
+    column = torch.cat((right, ones, other[..., None]), -1).flatten(0, 1).mT
+    basis = torch.cat((torch.ones_like(z[..., :1]), z), -1)  # [R, N, 1 + D]
+    basis = basis[:, None].expand(-1, len(first), -1, -1).flatten(0, 1)
+
+    product, over_n = torch.empty_like(basis), torch.empty_like(basis[..., 0])
+    curvature = f.curvature.flatten(0, 1)
+    for block in _blocks(*product.shape[:2]):
+        w = torch.bmm(row[block], column[block]).exp_().mul_(curvature[block])
+        torch.bmm(w, basis[block], out=product[block])
+        torch.sum(w, -2, out=over_n[block])
+    sums = (basis.mT @ product).unflatten(0, own.shape[:2])  # sums of W basis_n basis_m'
+    spread_n = (z.mT[:, None] * product[..., 0].unflatten(0, own.shape[:2])[..., None, :]) @ z[:, None]
+    spread_m = (z.mT[:, None] * over_n.unflatten(0, own.shape[:2])[..., None, :]) @ z[:, None]
+
+    value = sums[..., 0, 0]
+    linear = li * sums[..., 1:, 0] + lj * sums[..., 0, 1:]
+    mixed = li[..., :, None] * sums[..., 1:, 1:] * lj[..., None, :]
+    square = li[..., :, None] * spread_n * li[..., None, :] + lj[..., :, None] * spread_m * lj[..., None, :]
+    d_cov = shrink.mT @ (square + mixed + mixed.mT) @ shrink - value[..., None, None] * total[..., :, None] * shrink
+    return value, (linear[..., None, :] @ shrink)[..., 0, :], d_cov / 2
+
+
+class _SPDInverse(torch.autograd.Function):
+    """Inverse and log determinant of symmetric positive definite matrices; NaN for others.
+
+    torch's own would solve the systems again in the backward pass, which costs most of the time for these small ones.
+    """
+
+    @staticmethod
+    def forward(ctx, matrix: Tensor) -> tuple[Tensor, Tensor]:
+        inverse, log_det = _spd_inverse(matrix)
+        ctx.save_for_backward(inverse)
+        return inverse, log_det
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, g_inverse: Tensor, g_log_det: Tensor) -> Tensor:
+        (inverse,) = ctx.saved_tensors
+        return g_log_det[..., None, None] * inverse - inverse @ g_inverse @ inverse
+
+
+def _spd_inverse(matrix: Tensor) -> tuple[Tensor, Tensor]:
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    if info.any():
+        factor = torch.where((info > 0)[..., None, None], torch.nan, factor)
+    return torch.cholesky_inverse(factor), 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+
+
+def _system(cov: Tensor, root: Tensor) -> Tensor:
+    """Return I + diag(root) cov diag(root) [R, ..., D, D] for cov [R, D, D] and root [R, ..., D]."""
+    cov = cov.reshape(len(cov), *(1,) * (root.ndim - 2), *cov.shape[1:])
+    return torch.eye(cov.shape[-1], dtype=cov.dtype, device=cov.device) + root[..., :, None] * cov * root[..., None, :]
+
+
+@cache
 def _pairs(outputs: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Return the output pairs i <= j, those with i = j first."""
-    first, second = torch.triu_indices(outputs, outputs, 1, device=device)
-    same = torch.arange(outputs, device=device)
-    return torch.cat((same, first)), torch.cat((same, second))
+    """Return the output pairs i <= j."""
+    first, second = torch.triu_indices(outputs, outputs, device=device)
+    return first, second
 
 
-def _weighted_sums(f: SquaredExponential, row, column, basis, first, second) -> tuple[Tensor, Tensor, Tensor]:
-    """Return sums [R, P, 1 + D, 1 + D] of W_nm basis_n basis_m', and the sums of W over m and over n [R, P, N]."""
-    replicas, pairs, count, _ = row.shape
-    weighted_m = f.weights[:, second][..., None] * basis[:, None]
-    weighted_n = f.weights[:, first][..., None] * basis[:, None]
-    sums = row.new_empty(replicas, pairs, basis.shape[-1], basis.shape[-1])
-    over_m, over_n = row.new_empty(replicas, pairs, count), row.new_empty(replicas, pairs, count)
-    outputs = f.weights.shape[1]
-    for r in _blocks(replicas, count * count):
-        for p in _blocks(outputs, (r.stop - r.start) * count * count):
-            w = torch.exp_(row[r, p] @ column[r, p].mT).mul_(f.curvature[r, p])
-            product = w @ basis[r, None]
-            sums[r, p] = basis[r, None].mT @ product
-            over_m[r, p] = over_n[r, p] = product[..., 0]
-        for p in _blocks(pairs - outputs, (r.stop - r.start) * count * count, outputs):
-            w = torch.exp_(row[r, p] @ column[r, p].mT)
-            product = w @ weighted_m[r, p]
-            sums[r, p] = weighted_n[r, p].mT @ product
-            over_m[r, p] = f.weights[r, first[p]] * product[..., 0]
-            over_n[r, p] = f.weights[r, second[p]] * (weighted_n[r, p, :, :1].mT @ w)[..., 0, :]
-    return sums, over_m, over_n
-
-
-def _blocks(count: int, size: int, start: int = 0) -> list[slice]:
-    """Cut count entries of `size` numbers into slices that stay in the processor's cache."""
-    width = max(1, BLOCK // size)
-    return [slice(start + i, start + min(i + width, count)) for i in range(0, count, width)]
+def _blocks(count: int, size: int) -> list[slice]:
+    """Cut `count` square arrays of edge `size` into slices that stay in the processor's cache."""
+    width = max(1, BLOCK // size**2)
+    return [slice(i, min(i + width, count)) for i in range(0, count, width)]
