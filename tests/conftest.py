@@ -1,8 +1,4 @@
-"""Shared by all tests: no windows, one thread, and nobody touches the global random state."""
-
-import os
-
-os.environ.setdefault("MPLBACKEND", "Agg")
+"""Shared by all tests: one thread, and nobody touches the global random state."""
 
 import numpy as np
 import pytest

@@ -104,6 +104,7 @@ def _execute(name: str, profile: str) -> float:
             extra_arguments=["--log-level=ERROR"],  # the kernel warns of every connection that is not encrypted
         )
     except papermill.PapermillExecutionError as error:
+        # counted from 0 with the injected cell, this is the number from 1 without it
         first_line = next(iter(error.source.strip().splitlines()), "")
         raise BookError(
             f"{source} stopped in its cell {error.cell_index} (`{first_line}`): {error.ename}: {error.evalue}"

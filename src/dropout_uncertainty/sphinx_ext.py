@@ -33,14 +33,14 @@ def setup(app: Sphinx) -> dict[str, Any]:
 
 def list_modules(app: Sphinx, page: str, source: list[str]) -> None:
     """Replace the line ``[modules of PACKAGE]`` by the documentation of its modules, so that none is forgotten."""
+    source[0] = re.sub(r"^\[modules of ([\w.]+)\]$", lambda m: module_sections(m[1]), source[0], flags=re.MULTILINE)
 
-    def entries(match: re.Match[str]) -> str:
-        package = import_module(match[1])
-        modules = [module.name for module in pkgutil.iter_modules(package.__path__) if not module.ispkg]
-        directive = "## {0}\n\n```{{eval-rst}}\n.. automodule:: {1}.{0}\n   :members:\n```\n"
-        return "\n".join(directive.format(name, match[1]) for name in modules if not name.startswith("__"))
 
-    source[0] = re.sub(r"^\[modules of ([\w.]+)\]$", entries, source[0], flags=re.MULTILINE)
+def module_sections(package: str) -> str:
+    """Return MyST text with one section for each module of a package."""
+    names = [module.name for module in pkgutil.iter_modules(import_module(package).__path__) if not module.ispkg]
+    section = "## {0}\n\n```{{eval-rst}}\n.. automodule:: {1}.{0}\n   :members:\n```\n"
+    return "\n".join(section.format(name, package) for name in names if not name.startswith("__"))
 
 
 def keep_lines(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
