@@ -66,31 +66,33 @@ class Agent:
         self.policy, self.drop, self.seeds, self.index = policy, tuple(drop), tuple(seeds), index
         self.batch, self.learning_start = batch, learning_start
         self.learning = {"discount": discount, "rate": rate, "decay": decay}
-        self.place = {"dtype": dtype, "device": device}
-        self.network = QNetwork((STATE_SIZE, *hidden, C), self.seeds, index, **self.place)
-        self.memory = ReplayMemory(len(self.seeds), capacity, STATE_SIZE, C, **self.place)
-        self.held_out = ReplayMemory(len(self.seeds), held_out, STATE_SIZE, C, **self.place) if held_out else None
-        self.current = torch.zeros(len(self.seeds), STATE_SIZE + C, dtype=dtype).numpy()
-        self.minibatch = torch.zeros(len(self.seeds), 2 * batch + 2, STATE_SIZE + C, **self.place)
+        self.dtype, self.device, replicas = dtype, device, len(self.seeds)
+        self.network = QNetwork((STATE_SIZE, *hidden, C), self.seeds, index, dtype=dtype, device=device)
+        self.memory = ReplayMemory(replicas, capacity, STATE_SIZE, C, dtype=dtype, device=device)
+        self.held_out: ReplayMemory | None = None
+        if held_out:
+            self.held_out = ReplayMemory(replicas, held_out, STATE_SIZE, C, dtype=dtype, device=device)
+        self.current = torch.zeros(replicas, STATE_SIZE + C, dtype=dtype).numpy()
+        self.minibatch = torch.zeros(replicas, 2 * batch + 2, STATE_SIZE + C, dtype=dtype, device=device)
         #: Sum of squared TD errors of the replay minibatches [R] and number of learning steps, since last asked.
         self.squared_error, self.steps = torch.zeros(len(self.seeds), device=device), 0
 
     def prepare(self, chunk: int, holding_out: bool = False) -> None:
         """Draw the random numbers for the ticks of a chunk (0, 1, ...); ``holding_out``: transitions are kept aside."""
-        first_tick = chunk * CHUNK + 1
-        storing = first_tick + np.arange(CHUNK) >= 3  # a transition needs two states, a state two readings
+        storing = chunk * CHUNK + 1 + np.arange(CHUNK) >= 3  # a transition needs two states, a state two readings
         uniform = self._uniform("replay", chunk, 1 + self.batch)
-        self.store_in = self.held_out if holding_out else self.memory
+        self.store_in = self.memory
         self.plan = self.memory.plan(uniform, storing & (not holding_out), extra=2)
+        self.slots = self.plan.slots
         if holding_out and self.held_out is not None:
+            self.store_in = self.held_out
             self.slots = self.held_out.plan(uniform[:, :, :1], storing, extra=0).slots
-        else:
-            self.slots = self.plan.slots
-        self.masks = None
-        if self.memory.stored + CHUNK > self.learning_start:
-            rows, sizes = 2 * self.batch + 1, self.network.sizes
-            path = (self.index, chunk)
-            self.masks = MaskStream(self.seeds, sizes[:-1], self.drop, CHUNK, rows, *path, **self.place)
+        # no masks are needed before learning starts
+        drop = self.drop if self.memory.stored + CHUNK > self.learning_start else [0.0] * len(self.drop)
+        self.masks = MaskStream(
+            self.seeds, self.network.sizes[:-1], drop, CHUNK, 2 * self.batch + 1, self.index, chunk,
+            dtype=self.dtype, device=self.device,
+        )  # fmt: skip
         policy = self._uniform("policy", chunk, 2 + C)
         with np.errstate(divide="ignore"):
             self.chance = policy[..., 0], policy[..., 1], -np.log(-np.log(policy[..., 2:]))
@@ -135,7 +137,8 @@ class Agent:
             before[:, STATE_SIZE:] = taken
         if tick > 2:
             self.store_in.store(self.slots[step], before, now)
-        self.memory.observe(now)
+        if self.store_in is not self.memory or tick <= 2:
+            self.memory.observe(now)
 
     def _learn(self, step: int) -> tuple[NDArray, NDArray]:
         """Take a learning step; return the Q-values of the present state under a weight draw and without dropout."""
@@ -156,8 +159,10 @@ class Agent:
         return mean
 
     def held_out_errors(self) -> tuple[NDArray, NDArray]:
-        """Return the mean squared TD errors [R], without dropout, on transitions held out and on as many learned from."""
-        return self._evaluate(self.held_out, self.held_out.size), self._evaluate(self.memory, self.held_out.size)
+        """Return the mean squared TD errors [R], without dropout, of transitions held out and as many learned from."""
+        assert self.held_out is not None
+        count = self.held_out.size
+        return self._evaluate(self.held_out, count), self._evaluate(self.memory, count)
 
     def _evaluate(self, memory: ReplayMemory, count: int) -> NDArray:
         rows = memory.read(memory.spread(count))

@@ -15,7 +15,9 @@ from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
 from dropout_uncertainty.exploration.world import Rules, World
 from dropout_uncertainty.runs import Unit, precision_dtype
 
-__all__ = ["AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "WIDE", "AgentConfig", "Config", "Foraging", "start", "units"]  # fmt: skip
+__all__ = [
+    "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "WIDE", "AgentConfig", "Config", "Foraging", "start", "units",
+]  # fmt: skip
 
 #: Ticks per block, the unit in which results are kept: one point of the demo's plot.
 BLOCK = 500
@@ -24,13 +26,16 @@ KEPT_WEIGHTS = 2
 EXPERIMENT = "exploration"
 
 
+NO_DROPOUT = (0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class AgentConfig:
     """What distinguishes the agents of one world."""
 
     policy: str
     """Behaviour policy, a key of ``POLICIES``."""
-    drop: tuple[float, ...] = (0.0, 0.0, 0.0)
+    drop: tuple[float, ...] = NO_DROPOUT
     """Drop probability before each weight layer: inputs, hidden 1, hidden 2."""
 
 
@@ -105,23 +110,27 @@ def check(config: Config) -> None:
 AS_DEMO = Config(agents=(THOMPSON_OF_DEMO, AgentConfig("epsilon-greedy")), ticks=1_000_000)
 #: The thesis text: dropout 0.1 before every weight layer.
 AS_WRITTEN = replace(AS_DEMO, agents=(THOMPSON_OF_TEXT, AgentConfig("epsilon-greedy")), ticks=200_000)
-#: One agent per world, the same network and the demo's dropout wherever weights are drawn.
+#: One agent per world, the same network, and the demo's dropout wherever weights are drawn.
 OURS = {
-    name: Config(agents=(AgentConfig(name, THOMPSON_OF_DEMO.drop if POLICIES[name].draws_weights else (0.0, 0.0, 0.0)),),
-                 ticks=200_000)
-    for name in POLICIES
-}  # fmt: skip
-#: Over-fitting (claim EX6): networks of the demo's and of four times its width, without and with the text's dropout. All
-#: act ε-greedily on the network without dropout, so that nothing but the dropout in learning distinguishes a pair.
+    name: replace(AS_DEMO, agents=(AgentConfig(name, drop),), ticks=200_000)
+    for name, drop in (
+        ("thompson", THOMPSON_OF_DEMO.drop),
+        ("epsilon-greedy", NO_DROPOUT),
+        ("boltzmann", NO_DROPOUT),
+        ("annealed-thompson", THOMPSON_OF_DEMO.drop),
+    )
+}
+#: Over-fitting (claim EX6): networks of the demo's and of four times its width, without and with the text's dropout.
+#: All act ε-greedily on the network without dropout, so that only the dropout in learning distinguishes a pair.
 WIDE = {
-    name: Config(
-        agents=(AgentConfig("epsilon-greedy", drop),), ticks=100_000, hidden=hidden, held_out_every=10
+    name: replace(
+        AS_DEMO, agents=(AgentConfig("epsilon-greedy", drop),), ticks=100_000, hidden=hidden, held_out_every=10
     )
     for name, hidden, drop in (
-        ("narrow", (50, 50), (0.0, 0.0, 0.0)),
-        ("narrow-dropout", (50, 50), (0.1, 0.1, 0.1)),
-        ("wide", (200, 200), (0.0, 0.0, 0.0)),
-        ("wide-dropout", (200, 200), (0.1, 0.1, 0.1)),
+        ("narrow", (50, 50), NO_DROPOUT),
+        ("narrow-dropout", (50, 50), THOMPSON_OF_TEXT.drop),
+        ("wide", (200, 200), NO_DROPOUT),
+        ("wide-dropout", (200, 200), THOMPSON_OF_TEXT.drop),
     )
 }
 CONFIGS: dict[str, Config] = {
@@ -135,7 +144,7 @@ CONFIGS: dict[str, Config] = {
 def make_policy(name: str, config: Config) -> Policy:
     """Return the policy of that name with the settings of the config."""
     annealed = {"burn_in": config.burn_in, "anneal_end": config.anneal_end}
-    settings: dict[str, dict[str, float]] = {
+    settings: dict[str, dict[str, Any]] = {
         "thompson": {"burn_in": config.burn_in},
         "epsilon-greedy": {**annealed, "floor": config.epsilon_floor},
     }
@@ -259,7 +268,9 @@ class Foraging:
             **counts,
         }
         if self.held_out is not None:  # [R, A, evaluations]
-            arrays["held_out_td_error"], arrays["learned_td_error"] = np.moveaxis(self.held_out, -1, 0).astype(np.float32)
+            arrays["held_out_td_error"], arrays["learned_td_error"] = np.moveaxis(self.held_out, -1, 0).astype(
+                np.float32
+            )
         return arrays
 
     def _final_weights(self) -> np.ndarray:

@@ -4,8 +4,9 @@ A policy is a function of the Q-values and of random numbers drawn ahead of time
 ``__call__`` like those below and enter it in ``POLICIES``.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -22,6 +23,7 @@ class Chance(NamedTuple):
     gumbel: NDArray
 
 
+@runtime_checkable
 class Policy(Protocol):
     """Chooses one action per replica."""
 
@@ -111,11 +113,11 @@ class AnnealedThompson(Boltzmann):
 
 
 def in_burn_in(tick: int, burn_in: int) -> bool:
-    """Return whether the replay memory still holds fewer than ``burn_in`` transitions; its first comes at tick 3."""
-    return tick - 2 < burn_in
+    """Return whether fewer than ``burn_in`` transitions were stored before ``tick``; the first comes in tick 3."""
+    return tick - 3 < burn_in
 
 
-POLICIES: dict[str, type] = {
+POLICIES: dict[str, type[Policy]] = {
     "epsilon-greedy": EpsilonGreedy,
     "thompson": Thompson,
     "boltzmann": Boltzmann,
@@ -123,7 +125,7 @@ POLICIES: dict[str, type] = {
 }
 
 
-def policy(name: str, **settings: float) -> Policy:
+def policy(name: str, **settings: Any) -> Policy:
     """Return a policy by name.
 
     Raises:
@@ -131,4 +133,5 @@ def policy(name: str, **settings: float) -> Policy:
     """
     if name not in POLICIES:
         raise ValueError(f"unknown policy {name!r}, choose one of {', '.join(POLICIES)}")
-    return POLICIES[name](**settings)
+    kind: Callable[..., Policy] = POLICIES[name]
+    return kind(**settings)

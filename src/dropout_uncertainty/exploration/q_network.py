@@ -8,7 +8,8 @@ A draw of the weights is a value here as everywhere: one mask per row, ``net.for
 without dropout.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -63,13 +64,11 @@ class QNetwork:
         self.gradients = torch.zeros_like(self.parameters)
         self.decayed = torch.zeros(count, dtype=dtype, device=device)  # 1 for weights, 0 for biases
         self.weights, self.biases = self._views(self.parameters)
+        self.weight_gradients, self.bias_gradients = self._views(self.gradients)
         self._buffers: dict[tuple, Tensor] = {}
         for layer, (fan_in, fan_out) in enumerate(pairs):
-
-            def normal(g: Generator, shape=(fan_in, fan_out)) -> Tensor:
-                return torch.randn(shape, generator=g, dtype=torch.float64) / shape[0] ** 0.5
-
-            self.weights[layer].copy_(rng.stacked(normal, self.seeds, "init", *path, layer))
+            normal = rng.stacked(partial(_normal, (fan_in, fan_out)), self.seeds, "init", *path, layer)
+            self.weights[layer].copy_(normal / fan_in**0.5)
             self.biases[layer].fill_(HIDDEN_BIAS if layer < self.layers - 1 else 0.0)
         for weight in self._views(self.decayed[None])[0]:
             weight.fill_(1.0)
@@ -110,17 +109,17 @@ class QNetwork:
     def backward(self, activations: list[Tensor], masks: Masks | None, error: Float[Tensor, "R B C"]) -> None:
         """Set ``gradients`` to the sum over the first B rows of ``activations``, for dLoss/dQ = ``error`` there."""
         batch = error.shape[1]
-        weight_gradients, bias_gradients = self._views(self.gradients)
         for layer in reversed(range(self.layers)):
             below = activations[layer][:, :batch]
-            product(below.mT, error, weight_gradients[layer])
-            torch.sum(error, 1, keepdim=True, out=bias_gradients[layer])
+            product(below.mT, error, self.weight_gradients[layer])
+            torch.sum(error, 1, keepdim=True, out=self.bias_gradients[layer])
             if layer:
                 error = product(error, self.weights[layer].mT, self._buffer("error", layer, batch, self.sizes[layer]))
                 # an activation is positive where its unit was neither clipped by the ReLU nor dropped
                 error = torch.ops.aten.threshold_backward(error, below, 0)
-                if masks is not None and masks[layer] is not None:
-                    error.mul_(masks[layer][:, :batch])
+                mask = masks[layer] if masks is not None else None
+                if mask is not None:
+                    error.mul_(mask[:, :batch])
 
     def descend(self, rate: float, decay: float, batch: int) -> None:
         """Take one step of gradient descent on the mean over ``batch`` rows.
@@ -156,6 +155,10 @@ class QNetwork:
         return q[:, 2 * batch :], error
 
 
+def _normal(shape: tuple[int, int], generator: Generator) -> Tensor:
+    return torch.randn(shape, generator=generator, dtype=torch.float64)
+
+
 def td_error(
     q: Float[Tensor, "R rows C"], taken: Float[Tensor, "R B C"], reward: Float[Tensor, "R B"], discount: float
 ) -> Float[Tensor, "R B"]:
@@ -165,21 +168,20 @@ def td_error(
     return (q[:, :batch] * taken).sum(-1) - target
 
 
-def keep_units(shape: Sequence[int], p: float, generator: Generator) -> Bool[np.ndarray, "..."]:
-    """Return which units stay when each is dropped with probability ``p``.
+def keep_units(p: float, generator: Generator, out: Bool[np.ndarray, "..."]) -> None:
+    """Write to ``out`` (contiguous) which units stay when each is dropped with probability ``p``.
 
     One random byte decides, and a second number where the byte is not enough, so that the probability is exact. That
     costs a tenth of a Bernoulli variate; the masks of one learning step need sixty thousand.
     """
-    count = int(np.prod(shape))
-    words = torch.empty(-(-count // 8), dtype=torch.int64)
+    words = torch.empty(-(-out.size // 8), dtype=torch.int64)
     words.random_(torch.iinfo(torch.int64).min, None, generator=generator)
     level, rest = divmod(256 * check_probability(p), 1)
-    noise = words.numpy().view(np.uint8)[:count]
-    keep = noise > level
+    noise = words.numpy().view(np.uint8)[: out.size]
+    keep = out.reshape(-1)
+    np.greater(noise, level, out=keep)
     ties = np.flatnonzero(noise == level)
     keep[ties] = torch.rand(len(ties), dtype=torch.float64, generator=generator).numpy() >= rest
-    return keep.reshape(shape)
 
 
 class MaskStream:
@@ -209,25 +211,26 @@ class MaskStream:
         device: str = "cpu",
     ) -> None:
         self.device = device
-        self.keep: list[np.ndarray | None] = []
-        self.scale: list[np.ndarray | None] = []
-        self.mask: list[Tensor | None] = []
+        self.masks: list[Tensor | None] = [None] * len(drop)
+        self.kept: dict[int, np.ndarray] = {}
+        self.scale: dict[int, np.floating] = {}
         for layer, (width, p) in enumerate(zip(widths, drop, strict=True)):
             if check_probability(p) == 0.0:
-                self.keep.append(None), self.scale.append(None), self.mask.append(None)
                 continue
-            generators = (rng.generator(seed, "masks", *path, layer) for seed in seeds)
-            self.keep.append(np.stack([keep_units((steps, rows, width), p, g) for g in generators]).view(np.uint8))
-            self.mask.append(torch.ones(len(seeds), rows + 1, width, dtype=dtype))
-            self.scale.append(np.asarray(1.0 / (1.0 - p), dtype=self.mask[-1].numpy().dtype))
+            mask = torch.ones(len(seeds), rows + 1, width, dtype=dtype)
+            kept = np.empty((len(seeds), steps, rows, width), dtype=bool)
+            for replica, seed in enumerate(seeds):
+                keep_units(p, rng.generator(seed, "masks", *path, layer), out=kept[replica])
+            self.masks[layer], self.kept[layer] = mask, kept.view(np.uint8)
+            self.scale[layer] = mask.numpy().dtype.type(1.0 / (1.0 - p))
 
     def at(self, step: int) -> Masks:
         """Return the masks [R, rows + 1, width] of one step; the next call overwrites them."""
-        for keep, scale, mask in self._sites():
-            np.multiply(keep[:, step], scale, out=mask[:, :-1].numpy())
-        return tuple(None if mask is None else mask.to(self.device) for mask in self.mask)
+        for layer, kept in self.kept.items():
+            np.multiply(kept[:, step], self.scale[layer], out=self._numpy(layer)[:, :-1])
+        return tuple(None if mask is None else mask.to(self.device) for mask in self.masks)
 
-    def _sites(self) -> Iterator[tuple[np.ndarray, np.ndarray, Tensor]]:
-        for keep, scale, mask in zip(self.keep, self.scale, self.mask, strict=True):
-            if keep is not None and scale is not None and mask is not None:
-                yield keep, scale, mask
+    def _numpy(self, layer: int) -> np.ndarray:
+        mask = self.masks[layer]
+        assert mask is not None
+        return mask.numpy()

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -55,6 +55,7 @@ class ReplayMemory:
         self.per_replica = 2 * capacity + 1
         self.memory = torch.zeros(replicas * self.per_replica, state_size + actions, dtype=dtype, device=device)
         self.first_row = np.arange(replicas) * self.per_replica
+        self.current_row = self.first_row + self.per_replica - 1
         self.stored = 0
 
     @property
@@ -62,7 +63,7 @@ class ReplayMemory:
         """Transitions held per replica."""
         return min(self.stored, self.capacity)
 
-    def plan(self, uniform: Float[np.ndarray, "T R draws"], writes: Int[np.ndarray, " T"], extra: int) -> Plan:
+    def plan(self, uniform: Float[np.ndarray, "T R draws"], writes: Bool[np.ndarray, " T"], extra: int) -> Plan:
         """Return which rows the next T steps use.
 
         ``uniform`` [T, R, 1 + B] gives the slot to overwrite and B transitions to read; ``writes`` [T] says for each
@@ -73,19 +74,22 @@ class ReplayMemory:
         slots = np.where(stored[:, None] <= self.capacity, np.maximum(stored[:, None] - 1, 0), random_slot)
         size = np.minimum(stored, self.capacity)[:, None, None]
         states = self.first_row[:, None] + 2 * np.floor(uniform[:, :, 1:] * size).astype(np.int64)
-        current = np.broadcast_to((self.first_row + self.per_replica - 1)[:, None], (*states.shape[:2], extra))
+        current = np.broadcast_to(self.current_row[:, None], (*states.shape[:2], extra))
         rows = np.concatenate((states, states + 1, current), axis=-1).reshape(len(states), -1)
         return Plan(slots, torch.from_numpy(rows).to(self.memory.device))
 
-    def store(self, slots: NDArray, before: NDArray, after: NDArray) -> None:
-        """Write one transition per replica: rows [R, D + C] of the state with its action and of its successor."""
-        rows = self.first_row + 2 * slots
-        self._write(np.concatenate((rows, rows + 1)), np.concatenate((before, after)))
-        self.stored += 1
-
     def observe(self, state: NDArray) -> None:
         """Make ``state`` [R, D + C] the current state."""
-        self._write(self.first_row + self.per_replica - 1, state)
+        self._write(self.current_row, state)
+
+    def store(self, slots: NDArray, before: NDArray, after: NDArray) -> None:
+        """Write one transition per replica: rows [R, D + C] of a state with its action, and of its successor.
+
+        The successor becomes the current state.
+        """
+        rows = self.first_row + 2 * slots
+        self._write(np.concatenate((rows, rows + 1, self.current_row)), np.concatenate((before, after, after)))
+        self.stored += 1
 
     def _write(self, rows: NDArray, values: NDArray) -> None:
         device = self.memory.device

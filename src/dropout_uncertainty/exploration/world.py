@@ -2,8 +2,8 @@
 
 The rules are those of the demo behind the thesis (``rldemo_comparison.js`` in yaringal/DropoutUncertaintyDemos, itself
 derived from Karpathy's ``rldemo.js``), quirks included; where the thesis text says something else, or the original has
-what looks like a slip, there is a switch in ``Rules``. Lengths are in pixels of a 700 x 500 canvas with y pointing down,
-angles in radians, and an agent at angle θ faces (sin θ, cos θ). One tick is: ``sense``, choose actions, ``step``.
+what looks like a slip, there is a switch in ``Rules``. Lengths are in pixels of a 700 x 500 canvas with y pointing
+down, angles in radians, and an agent at angle θ faces (sin θ, cos θ). One tick: ``sense``, choose actions, ``step``.
 """
 
 from dataclasses import dataclass
@@ -20,11 +20,14 @@ __all__ = [
 WIDTH, HEIGHT = 700.0, 500.0
 #: Wall segments (x1, y1, x2, y2): the outer box, then two cups that are open on their left side.
 WALLS = np.array(
-    [(10, 10, 690, 10), (690, 10, 690, 490), (690, 490, 10, 490), (10, 490, 10, 10)]
-    + [(100, 100, 300, 100), (300, 100, 300, 400), (300, 400, 100, 400)]
-    + [(400, 100, 600, 100), (600, 100, 600, 400), (600, 400, 400, 400)],
+    [
+        *[(10, 10, 690, 10), (690, 10, 690, 490), (690, 490, 10, 490), (10, 490, 10, 10)],
+        *[(100, 100, 300, 100), (300, 100, 300, 400), (300, 400, 100, 400)],
+        *[(400, 100, 600, 100), (600, 100, 600, 400), (600, 400, 400, 400)],
+    ],
     dtype=np.float64,
 )
+WALL_SEGMENTS = np.array([WALLS[:, 0], WALLS[:, 1], WALLS[:, 2] - WALLS[:, 0], WALLS[:, 3] - WALLS[:, 1]])
 #: Rotation of the two wheels [rad] per action: straight on, two gentle turns, two turns almost on the spot.
 ACTIONS = np.array([(1.0, 1.0), (0.8, 1.0), (1.0, 0.8), (0.5, 0.0), (0.0, 0.5)])
 WHEEL_BASE = 2.5  # scales wheel rotations to displacements
@@ -116,19 +119,18 @@ class World:
         nearest = hits.argmin(-1)
         fraction = _pick(hits, nearest)
         item = np.maximum(nearest - len(WALLS), 0)
-        along = sin * _pick_item(right, item) + cos * _pick_item(down, item)
+        slot = item + ITEMS * np.arange(self.replicas)[:, None, None]
+        seen = item + ITEMS * np.arange(self.x.size).reshape(*self.x.shape, 1)
+        along = sin * right.reshape(-1)[seen] + cos * down.reshape(-1)[seen]
         aside = _pick(across, item)
         offset = aside + self._shift(aside)
         is_item, nothing = nearest >= len(WALLS), fraction == np.inf
         distance = np.where(is_item, np.sqrt(along * along + offset * offset), EYE_RANGE * fraction)
-        kind = np.where(is_item, _pick_item(self._kinds(), item), WALL)
+        kind = np.where(is_item, self.item_kind.reshape(-1)[slot], WALL)
         return Readings(np.where(nothing, EYE_RANGE, distance), np.where(nothing, NOTHING, kind))
 
     def _items_from(self, x: NDArray, y: NDArray) -> tuple[NDArray, NDArray]:
         return self.item_x[:, None] - x[..., None], self.item_y[:, None] - y[..., None]
-
-    def _kinds(self) -> NDArray:
-        return np.broadcast_to(self.item_kind[:, None], (self.replicas, self.agents, ITEMS))
 
     def _shift(self, across: NDArray) -> NDArray:
         """Return how far the original moves an item's centre, in the direction of ``across``, to reach the ray.
@@ -175,10 +177,9 @@ class World:
         self.clock += 1
         blocked = self._move(actions)
         eater = self._eat()
-        eaten = eater >= 0
-        food, poison = (self._count(eater, self.item_kind == kind) for kind in (FOOD, POISON))
+        food, poison = self._count(eater)
         withered = self._wither(ageing)
-        gone = eaten | withered
+        gone = (eater >= 0) | withered
         if gone.any():
             self.item_x[gone] = self.item_y[gone] = FAR
             self.item_kind[gone] = NOTHING
@@ -204,9 +205,9 @@ class World:
         turned = np.where(before < 0, before + 2 * np.pi, before) + right
         self.angle = np.where(turned > 2 * np.pi, turned - 2 * np.pi, turned)
         new_x, new_y = self.x + dx, self.y + dy
-        blocked = (_wall_hits(self.x, self.y, new_x - self.x, new_y - self.y) < np.inf).any(-1)
-        self.x = np.clip(np.where(blocked, self.x, new_x), 0.0, WIDTH)
-        self.y = np.clip(np.where(blocked, self.y, new_y), 0.0, HEIGHT)
+        blocked = _wall_hits(self.x, self.y, new_x - self.x, new_y - self.y).min(-1) < np.inf
+        self.x = np.minimum(np.maximum(np.where(blocked, self.x, new_x), 0.0), WIDTH)
+        self.y = np.minimum(np.maximum(np.where(blocked, self.y, new_y), 0.0), HEIGHT)
         return blocked
 
     def _eat(self) -> Int[np.ndarray, "R M"]:
@@ -223,8 +224,12 @@ class World:
                 eater[replica[mine], slot[mine]] = agent_index
         return eater
 
-    def _count(self, eater: NDArray, of_kind: NDArray) -> Int[np.ndarray, "R A"]:
-        return np.stack([((eater == agent) & of_kind).sum(-1) for agent in range(self.agents)], axis=-1)
+    def _count(self, eater: NDArray) -> Int[np.ndarray, "2 R A"]:
+        """Return how many items, of food and of poison, each agent eats."""
+        counts = np.zeros((2, self.replicas, self.agents), dtype=np.int64)
+        replica, slot = (eater >= 0).nonzero()
+        np.add.at(counts, (self.item_kind[replica, slot] - FOOD, replica, eater[replica, slot]), 1)
+        return counts
 
     def _wither(self, ageing: NDArray | None) -> Bool[np.ndarray, "R M"]:
         if self.clock % AGEING_PERIOD:
@@ -259,7 +264,7 @@ class World:
     def restore(self, state: dict) -> None:
         """Continue from ``state()``."""
         for name in self._ARRAYS:
-            setattr(self, name, np.array(state[name]))
+            setattr(self, name, np.asarray(state[name]).copy())
         self.clock = int(state["clock"])
 
     _ARRAYS = ("x", "y", "angle", "item_x", "item_y", "item_kind", "item_born")
@@ -277,11 +282,10 @@ def _wall_hits(x: NDArray, y: NDArray, dx: NDArray, dy: NDArray) -> NDArray:
 
     Both segments are open: touching an end point is no crossing, and parallel segments never cross.
     """
-    wall_x, wall_y = WALLS[:, 0], WALLS[:, 1]
-    wall_dx, wall_dy = WALLS[:, 2] - wall_x, WALLS[:, 3] - wall_y
+    wall_x, wall_y, wall_dx, wall_dy = WALL_SEGMENTS
     dx, dy = dx[..., None], dy[..., None]
     from_x, from_y = x[..., None] - wall_x, y[..., None] - wall_y
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # parallel to the wall
         scale = wall_dy * dx - wall_dx * dy
         along_ray = (wall_dx * from_y - wall_dy * from_x) / scale
         along_wall = (dx * from_y - dy * from_x) / scale
@@ -291,9 +295,5 @@ def _wall_hits(x: NDArray, y: NDArray, dx: NDArray, dy: NDArray) -> NDArray:
 
 def _pick(values: NDArray, index: NDArray) -> NDArray:
     """Return values[..., index] for values [..., N] and one index per leading position."""
-    return np.take_along_axis(values, index[..., None], -1)[..., 0]
-
-
-def _pick_item(values: NDArray, item: NDArray) -> NDArray:
-    """Return, for each eye [R, A, 9], the value [R, A, 30] of the item it senses."""
-    return np.take_along_axis(values, item, -1)
+    rows = values.shape[-1] * np.arange(index.size).reshape(index.shape)
+    return values.reshape(-1)[rows + index]

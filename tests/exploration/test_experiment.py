@@ -1,0 +1,173 @@
+"""Runs: resumed equals uninterrupted, one seed alone equals itself among others, and what a run records."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from dropout_uncertainty import records, runs
+from dropout_uncertainty.exploration import agent, experiment, world
+from dropout_uncertainty.exploration.experiment import AS_DEMO, CONFIGS, WIDE, AgentConfig, Config, start
+
+#: Small and quick to learn, but with every feature of the published configs.
+SMALL = replace(
+    AS_DEMO, ticks=2000, burn_in=600, learning_start=300, anneal_end=1500, memory=700, batch=16, hidden=(20, 20)
+)
+MIXED = replace(
+    SMALL, agents=(AgentConfig("annealed-thompson", (0.1, 0.2, 0.0)), AgentConfig("boltzmann")), held_out_every=2
+)
+
+
+def run(process, steps=None):
+    for _ in range(process.total - process.done if steps is None else steps):
+        process.advance()
+    return process
+
+
+@pytest.mark.parametrize("config", [SMALL, MIXED], ids=["as-demo", "mixed"])
+def test_a_resumed_run_ends_with_the_same_arrays(config, tmp_path):
+    whole = run(start(config, (100, 101))).result()
+    interrupted = run(start(config, (100, 101)), 3)
+    torch.save(interrupted.state(), tmp_path / "state.pt")
+    resumed = start(config, (100, 101))
+    resumed.restore(torch.load(tmp_path / "state.pt", weights_only=True))
+    run(interrupted)  # going on must not reach into what was saved
+    assert records.checksum(run(resumed).result()) == records.checksum(whole)
+
+
+@pytest.mark.parametrize("config", [SMALL, MIXED], ids=["as-demo", "mixed"])
+def test_a_seed_alone_agrees_with_itself_among_others(config):
+    among = run(start(config, (100, 101, 102), precision="float64")).result()
+    alone = run(start(config, (101,), precision="float64")).result()
+    assert among["reward"].shape == (3, 2, 4)
+    for name, values in alone.items():
+        expected = among[name][1:2]
+        if name == "weights":
+            expected = among[name][1:2]  # the first two seeds are kept
+        np.testing.assert_allclose(
+            values, expected, rtol=0, atol=1e-6 if values.dtype == np.float32 else 0, err_msg=name
+        )
+
+
+def test_recording_adds_up():
+    process = run(start(SMALL, (100, 101)))
+    result = process.result()
+    reward, last = result["reward"].astype(float), result["average_reward"]
+    np.testing.assert_allclose(last[..., 1:], (reward[..., 1:] + reward[..., :-1]) / 2, atol=1e-6)
+    eaten = result["food"].astype(float) * 5 - result["poison"] * 6.0
+    rest = reward - eaten / 500  # view and straight motion
+    assert (rest > 0).all()
+    assert (rest <= 1.1).all()
+    assert (result["explored"][..., 0] >= 300).all()  # nothing learned yet: all of these are random
+    assert (result["explored"][..., -1] < 500).all()
+    assert np.isnan(result["td_error"]).sum() == 0
+    assert (result["blocked"] <= 500).all()
+
+
+def test_actions_of_the_epsilon_greedy_agent_explore_as_often_as_epsilon_says():
+    config = replace(SMALL, agents=(AgentConfig("epsilon-greedy"),), anneal_end=601, epsilon_floor=0.25)
+    explored = run(start(config, range(100, 110))).result()["explored"][:, 0, 2:].mean() / 500
+    assert explored == pytest.approx(0.25 * 0.8, abs=4 * (0.2 * 0.8 / 10_000) ** 0.5)
+
+
+def test_held_out_transitions_are_not_learned_from():
+    process = run(start(MIXED, (100,)), 2)
+    first = process.agents[0]
+    assert first.memory.stored == 498  # block 1 but for its first two ticks
+    assert first.held_out.stored == 500
+    learned = first.memory.memory[: 2 * first.memory.size : 2, : agent.STATE_SIZE]
+    kept = first.held_out.memory[: 2 * first.held_out.size : 2, : agent.STATE_SIZE]
+    assert not (learned[:, None] == kept[None]).all(-1).any()
+    result = run(process).result()
+    assert result["held_out_td_error"].shape == result["learned_td_error"].shape == (1, 2, 2)
+    assert np.isfinite(result["held_out_td_error"]).all()
+
+
+def test_a_transition_is_what_the_agent_saw_did_and_got():
+    process = start(replace(SMALL, agents=(AgentConfig("thompson", (0.0, 0.2, 0.0)),)), (100,))
+    seen, did, got = [], [], []
+    receive, act = process.agents[0].receive, process.agents[0].act
+
+    def spy_act(inputs, tick):
+        seen.append(inputs.copy())
+        actions = act(inputs, tick)
+        did.append(actions[0].copy())
+        return actions
+
+    process.agents[0].act = spy_act
+    process.agents[0].receive = lambda reward: (got.append(reward.copy()), receive(reward))
+    process.advance()
+    memory, one_hot = process.agents[0].memory, np.eye(5)
+    for slot, t in ((0, 2), (100, 102), (497, 499)):  # slot 0 holds the move of the second tick (index 1) ...
+        before = np.concatenate((seen[t - 1][0], seen[t - 2][0], 27 * one_hot[did[t - 2][0]]))
+        after = np.concatenate((seen[t][0], seen[t - 1][0], 27 * one_hot[did[t - 1][0]]))
+        row, next_row = memory.memory[2 * slot : 2 * slot + 2].numpy()
+        np.testing.assert_allclose(row[:59], before, rtol=1e-6)
+        np.testing.assert_allclose(next_row[:59], after, rtol=1e-6)
+        np.testing.assert_array_equal(row[59:], one_hot[did[t - 1][0]])
+        np.testing.assert_allclose(next_row[59], got[t - 1][0], rtol=1e-6)
+
+
+def test_learning_starts_at_the_tick_the_original_does():
+    process = start(replace(AS_DEMO, ticks=2000), (100,))
+    untouched = process.agents[0].network.parameters.clone()
+    learned_at = []
+    learn = process.agents[0]._learn
+    process.agents[0]._learn = lambda step: (learned_at.append(process.world.clock + 1), learn(step))[1]
+    run(process, 3)
+    assert learned_at[0] == 1003
+    assert len(learned_at) == 1500 - 1002
+    assert not torch.equal(untouched, process.agents[0].network.parameters)
+
+
+def test_a_run_reaches_its_record(tmp_path):
+    unit = runs.Unit("exploration", "small", start, SMALL, (100, 101))
+    record = runs.run_unit(unit, folder=tmp_path)
+    assert record.arrays["average_reward"].shape == (2, 2, 4)
+    assert record.header["config"]["agents"][0] == {"policy": "thompson", "drop": [0.0, 0.2, 0.0]}
+
+
+def test_published_configs_say_what_they_are():
+    assert set(CONFIGS) >= {"as-demo", "as-written", "wide", "wide-dropout"} | {
+        f"ours-{name}" for name in ("thompson", "epsilon-greedy", "boltzmann", "annealed-thompson")
+    }
+    assert CONFIGS["as-written"].agents[0].drop == (0.1, 0.1, 0.1)
+    assert CONFIGS["as-demo"].agents[0].drop == (0.0, 0.2, 0.0)
+    assert all(len(config.agents) == 1 for name, config in CONFIGS.items() if name.startswith("ours"))
+    plain, dropout = WIDE["wide"], WIDE["wide-dropout"]
+    assert replace(plain, agents=dropout.agents) == dropout
+    (unit,) = experiment.units("as-demo")
+    assert unit.label == "exploration/as-demo/000-009"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"agents": ()}, "at least one agent"),
+        ({"ticks": 1234}, "multiple of 500"),
+        ({"agents": (AgentConfig("ucb"),)}, "unknown policy 'ucb'"),
+        ({"agents": (AgentConfig("thompson", (0.0, 1.0, 0.0)),)}, "drop probability"),
+        ({"agents": (AgentConfig("thompson", (0.1,)),)}, "3 drop probabilities"),
+        ({"burn_in": 100}, "burn_in must exceed"),
+        ({"anneal_end": 500}, "anneal_end must exceed"),
+        ({"held_out_every": 1}, "held_out_every"),
+    ],
+)
+def test_bad_configs_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(SMALL, **change)
+
+
+def test_bad_arguments_are_refused():
+    with pytest.raises(ValueError, match="at least one seed"):
+        start(SMALL, ())
+    with pytest.raises(ValueError, match="seed"):
+        start(SMALL, (-1,))
+    with pytest.raises(ValueError, match="unknown config"):
+        experiment.units("as-dreamt")
+    with pytest.raises(ValueError, match="at least one agent"):
+        world.World(np.zeros((1, 30, 3)), agents=0)
+    with pytest.raises(ValueError, match="precision"):
+        start(SMALL, (100,), precision="float16")
+    assert isinstance(SMALL, Config)
