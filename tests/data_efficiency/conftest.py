@@ -36,14 +36,10 @@ class Derivatives:
         return x.mT.reshape(-1) if x.ndim == 2 else x.reshape(-1)
 
     @classmethod
-    def jacobian(cls, function, x, symmetric=False):
+    def jacobian(cls, function, x):
         """Return d vec(function(x)) / d vec(x)."""
         jac = torch.autograd.functional.jacobian(lambda x: cls.flat(function(x)), x)
-        if x.ndim == 2:
-            jac = (
-                cls.symmetrise(jac.mT.reshape(len(jac), -1), x.shape[0]) if symmetric else jac.mT.reshape(len(jac), -1)
-            )
-        return jac
+        return jac.mT.reshape(len(jac), -1) if x.ndim == 2 else jac
 
     @staticmethod
     def symmetrise(jac, size):
@@ -63,8 +59,26 @@ def close():
 
     def compare(got, expected, tolerance=1e-9, name=""):
         got, expected = got.detach().reshape(-1), expected.reshape(-1)
-        scale = max(expected.abs().max().item(), 1e-12)
+        scale = max(expected.abs().max().item(), 1e-5)  # below, both are differences of numbers near 1
         error = (got - expected).abs().max().item() / scale
         assert error <= tolerance, f"{name}: relative error {error:.1e} above {tolerance:.0e}"
 
     return compare
+
+
+@pytest.fixture(scope="session")
+def check_moments(derivatives, close):
+    """Return a check of mean, covariance and slope, and of their derivatives in m [D] and s [D, D], on a golden case."""
+
+    def check(case, function, m, s, names=("M", "S", "V"), tolerance=1e-9, slack=1e-9):
+        got = function(m, s)
+        for i, name in enumerate(names):
+            close(got[i], case[name], tolerance, name)
+            close(derivatives.jacobian(lambda m, i=i: function(m, s)[i], m), case[f"d{name}dm"], slack, f"d{name}dm")
+            for key in (f"d{name}ds", f"d{name}dv"):
+                if key in case:
+                    jac = derivatives.jacobian(lambda s, i=i: function(m, (s + s.mT) / 2)[i], s)
+                    expected = derivatives.symmetrise(case[key], len(m))
+                    close(derivatives.symmetrise(jac, len(m)), expected, slack, key)
+
+    return check

@@ -101,8 +101,8 @@ def squash(u: Float[Tensor, "*batch"], limit: float) -> Float[Tensor, "*batch"]:
     return limit / 8 * (9 * u.sin() + (3 * u).sin())
 
 
-def squash_moments(u: Gaussian, limit: float) -> Moments:
-    """Return the moments of `squash`, element by element, for a Gaussian u."""
+def squash_moments(u: Gaussian, limit: float | Tensor) -> Moments:
+    """Return the moments of `squash`, element by element, for a Gaussian u and one limit or one per element."""
     _, spread, mix = _squash_constants(u.mean.shape[-1], u.mean.dtype, u.mean.device)
     sines = sine_moments(linear_moments(u, spread).out)
     squashed = linear_moments(sines.out, limit * mix)
@@ -121,7 +121,7 @@ def force(controller: Controller, plant: CartPole, state: Float[Tensor, "*batch 
     return squash(controller(features(state))[..., 0], plant.force_limit)
 
 
-def force_moments(controller: Controller, limit: float, x: Gaussian) -> Moments:
+def force_moments(controller: Controller, limit: float | Tensor, x: Gaussian) -> Moments:
     """Return the moments of the squashed output, the preliminary one matched by a Gaussian."""
     preliminary = controller.moments(x)
     squashed = squash_moments(preliminary.out, limit)

@@ -35,9 +35,14 @@ def cost_moments(plant: CartPole, state: Gaussian) -> tuple[Float[Tensor, "*batc
 
 
 def saturating_moments(
-    z: Gaussian, target: Float[Tensor, " D"], factor: Float[Tensor, "P D"]
+    z: Gaussian, target: Tensor, factor: Tensor
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch D"]]:
     """Return mean, variance and slope in z of 1 - exp(-|factor (z - target)|^2 / 2) for a Gaussian z.
+
+    Args:
+        z: the Gaussian of D dimensions.
+        target: [D], where the value is 0.
+        factor: [P, D], what is measured of the distance.
 
     Raises:
         ValueError: if mean, target and factor disagree about the length of z.

@@ -1,8 +1,9 @@
 """Gaussian-process regression with a squared-exponential kernel: one length-scale per input, learned noise.
 
-Hyper-parameters are one vector per output, in logs: D length-scales, signal standard deviation, noise standard
-deviation. With inducing inputs, shared by the outputs, the posterior is the FITC approximation (Snelson and Ghahramani,
-2006). Replicas R first; float64. The settings are those of pilco-matlab (gp/train.m, gp/hypCurb.m, gp/gp1.m).
+Hyper-parameters are one vector per output, in logs: D length-scales, signal standard deviation, noise
+standard deviation. With inducing inputs, shared by the outputs, the posterior is the FITC approximation
+(Snelson and Ghahramani, 2006). Replicas R first; float64. The settings are those of pilco-matlab (gp/train.m,
+gp/hypCurb.m, gp/gp1.m).
 """
 
 import math
@@ -68,7 +69,9 @@ class GaussianProcess:
         identity = torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
         inner, also = robust_cholesky(identity + scaled @ whitened.mT)
         root = torch.linalg.solve_triangular(factor @ inner, identity, upper=False)
-        weights = (root.mT @ (torch.linalg.solve_triangular(inner, scaled, upper=False) @ self.targets[..., None]))[..., 0]
+        weights = (root.mT @ (torch.linalg.solve_triangular(inner, scaled, upper=False) @ self.targets[..., None]))[
+            ..., 0
+        ]
         precision = torch.cholesky_inverse(factor) - root.mT @ root
         return self._functions(self.inducing, weights, precision), (repaired | also).sum(-1)
 
@@ -218,7 +221,9 @@ def _gram(inputs: Tensor, log_hyper: Tensor) -> tuple[Tensor, Tensor]:
     """Return the covariance of the targets [R, E, N, N] and its diagonal's view."""
     gram = squared_exponential(inputs, inputs, log_hyper[..., :-2], log_hyper[..., -2])
     diagonal = gram.diagonal(dim1=-2, dim2=-1)
-    diagonal.copy_((torch.exp(2 * log_hyper[..., -2]) + torch.exp(2 * log_hyper[..., -1]))[..., None].expand_as(diagonal))
+    diagonal.copy_(
+        (torch.exp(2 * log_hyper[..., -2]) + torch.exp(2 * log_hyper[..., -1]))[..., None].expand_as(diagonal)
+    )
     return gram, diagonal
 
 

@@ -1,7 +1,8 @@
 """Many small minimisations at once: SciPy's L-BFGS-B per problem, their functions evaluated together as one batch.
 
-Each problem runs SciPy's own optimiser in a thread that does nothing but wait for function values, so all line searches
-advance in step and the batch shrinks as problems finish. One problem takes the same path alone as among many.
+Each problem runs SciPy's own optimiser in a thread that does nothing but wait for function values, so all
+line searches advance in step and the batch shrinks as problems finish. One problem takes the same path alone
+as among many.
 """
 
 import math
@@ -37,13 +38,12 @@ class Minimum:
     repairs: Int[Tensor, " B"]  # values that were not finite, replaced by a barrier with slope 0
 
 
-def minimise(
-    objective: Objective, start: Float[Tensor, "B P"], iterations: int, max_restarts: int = 2
-) -> Minimum:
+def minimise(objective: Objective, start: Float[Tensor, "B P"], iterations: int, max_restarts: int = 2) -> Minimum:
     """Minimise B functions of P variables, at most `iterations` line searches each.
 
     Args:
-        objective: returns values [A] and gradients [A, P] of the A problems whose numbers it is given as a list.
+        objective: returns values [A] and gradients [A, P] of the A problems whose numbers it is given as a
+            list.
         start: where to begin.
         iterations: the limit on line searches.
         max_restarts: how often a problem may begin anew after a failed line search.

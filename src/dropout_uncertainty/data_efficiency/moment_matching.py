@@ -67,7 +67,8 @@ def feature_moments(state: Gaussian) -> Moments:
     turn = (twice @ trig.slope) @ place  # d(features) / d theta [..., 1, 5]
     slope = keep + last * turn
     mean = torch.cat((state.mean[..., :3], trig.mean), -1)
-    # cov(features) is slope' cov slope but for the block of sine and cosine, which has more than its linear part
+    # cov(features) is slope' cov slope but for the block of sine and cosine, which has more than its linear
+    # part
     linear = slope.mT @ state.cov @ slope
     extra = trig.cov - linear[..., 3:, 3:]
     return Moments(mean, linear + place.mT @ extra @ place, slope)
@@ -187,11 +188,12 @@ def _second_moment(f: SquaredExponential, z: Tensor, cov: Tensor) -> Tensor:
 class PosteriorMoments(torch.autograd.Function):
     """Mean, slope and second moment E f f' under a Gaussian input and the posterior over f.
 
-    This is the part of PILCO that grows with N^2, so value and gradient are worked out by hand in one pass. A mean
-    value g(m, S) over a Gaussian has dg/dm = slope and dg/dS = half its second derivative in m; those of g are sums over
-    centres. For outputs i <= j the second moment sums W_nm = curvature_nm exp(e_nm), e a quadratic form in the
-    differences z_n, z_m of the centres to m. All that its gradient needs are sums of W, W z and z W z', taken while a
-    block of W is in the cache, so that no N x N array is kept. Only mean and covariance of the input get gradients.
+    This is the part of PILCO that grows with N^2, so value and gradient are worked out by hand in one pass. A
+    mean value g(m, S) over a Gaussian has dg/dm = slope and dg/dS = half its second derivative in m; those of
+    g are sums over centres. For outputs i <= j the second moment sums W_nm = curvature_nm exp(e_nm), e a
+    quadratic form in the differences z_n, z_m of the centres to m. All that its gradient needs are sums of W,
+    W z and z W z', taken while a block of W is in the cache, so that no N x N array is kept. Only mean and
+    covariance of the input get gradients.
     """
 
     @staticmethod
@@ -276,7 +278,8 @@ def _pair_sums(
 class _SPDInverse(torch.autograd.Function):
     """Inverse and log determinant of symmetric positive definite matrices; NaN for others.
 
-    torch's own would solve the systems again in the backward pass, which costs most of the time for these small ones.
+    torch's own would solve the systems again in the backward pass, which costs most of the time for these
+    small ones.
     """
 
     @staticmethod

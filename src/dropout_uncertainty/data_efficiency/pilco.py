@@ -1,8 +1,8 @@
 """PILCO (thesis algorithm 3): predict the trial with a Gaussian process and matched moments, improve the controller.
 
-Steps of the algorithm and where they are: 4 run a trial (`cartpole.rollout`), 5 train the dynamics model (`train_model`), 6
-predict state distributions (`predict`), 7 expected cost and its gradient (`expected_costs`), 8 improve the controller
-(`improve`). `experiment` joins them. float64, replicas R first.
+Steps of the algorithm and where they are: 4 run a trial (`cartpole.rollout`), 5 train the dynamics model
+(`train_model`), 6 predict state distributions (`predict`), 7 expected cost and its gradient
+(`expected_costs`), 8 improve the controller (`improve`). `experiment` joins them. float64, replicas R first.
 """
 
 from dataclasses import dataclass
@@ -144,7 +144,8 @@ def train_model(
 ) -> tuple[Tensor, Minimum]:
     """Return fitted hyper-parameters, begun from the given ones or, at first, from the spread of the data.
 
-    A replica whose likelihood cannot be computed at the warm start begins from the spread of the data instead.
+    A replica whose likelihood cannot be computed at the warm start begins from the spread of the data
+    instead.
     """
     fresh = gp.initial_hyper(inputs, targets)
     start = fresh if log_hyper is None else log_hyper

@@ -1,0 +1,238 @@
+"""PILCO learning the cart-pole swing-up: one unit is a batch of repetitions, one step of its process is a trial."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Generator, Tensor
+
+from dropout_uncertainty import rng
+from dropout_uncertainty.data_efficiency import cartpole, controllers, pilco
+from dropout_uncertainty.data_efficiency import gaussian_process as gp
+from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER, CartPole
+from dropout_uncertainty.data_efficiency.cost import cost, solved
+from dropout_uncertainty.data_efficiency.moment_matching import SquaredExponential
+from dropout_uncertainty.runs import Unit
+
+__all__ = ["CONFIGS", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "units"]
+
+EXPERIMENT = "data_efficiency"
+# : Repetitions per unit. Time per repetition falls with the batch while there are few data, and is level from
+# about 10 on.
+GROUP = 10
+
+
+@dataclass(frozen=True)
+class PilcoConfig:
+    """The learner, after pilco-matlab, scenarios/cartPole/settings_cp.m, unless said otherwise."""
+
+    plant: CartPole = field(default_factory=lambda: MATLAB)
+    """The cart-pole, its start distribution and trial length."""
+    trials: int = 15
+    """Controlled trials after the random one."""
+    basis: int = 10
+    """Basis functions of the controller."""
+    policy_iterations: int = 150
+    """Line searches per trial for the controller."""
+    model_iterations: int = 300
+    """Line searches per trial for the hyper-parameters of each output's Gaussian process."""
+    inducing: int = 300
+    """Inducing inputs, used once there are more transitions than this; 0: never."""
+    inducing_iterations: int = 100
+    """Line searches per trial for the inducing inputs, three times as many at first; the original has 500 evaluations."""
+    target_std: float = 0.1
+    """Standard deviation of the first targets of the controller's basis functions."""
+    log_length_scales: tuple[float, ...] = (0.0, 0.0, 0.0, -0.35667494393873245, -0.35667494393873245)
+    """Logs of the controller's first length-scales: 1, 1, 1, 0.7, 0.7."""
+
+    def __post_init__(self) -> None:
+        if self.trials < 1 or self.basis < 1 or self.policy_iterations < 1 or self.model_iterations < 1:
+            raise ValueError(f"trials, basis functions and line searches must be positive, got {asdict(self)}")
+
+
+#: The plant of the original code.
+PILCO_MATLAB = PilcoConfig(plant=MATLAB)
+#: The plant of the Deep PILCO paper, on which both methods of figure 5.7 are compared.
+PILCO_PAPER = replace(PILCO_MATLAB, plant=PAPER)
+CONFIGS: dict[str, PilcoConfig] = {"pilco-paper": PILCO_PAPER, "pilco-matlab": PILCO_MATLAB}
+
+
+class PilcoLearning:
+    """R repetitions of PILCO (thesis algorithm 3) in one batch; step 0 is the random trial."""
+
+    COUNTS = (
+        "model_line_searches",  # summed over outputs
+        "policy_line_searches",
+        "policy_evaluations",
+        "model_repairs",  # values that were not finite, failed line searches, covariances that needed jitter
+        "policy_repairs",  # values that were not finite, failed line searches
+        "policy_redrawn",  # the controller could not be evaluated and began anew from a random one
+    )
+
+    def __init__(self, config: PilcoConfig, seeds: Sequence[int]) -> None:
+        if not seeds:
+            raise ValueError("at least one seed is needed, got none")
+        self.config, self.seeds = config, tuple(seeds)
+        self.total, self.done = config.trials + 1, 0
+        self.shape = pilco.PolicyShape(config.basis)
+        self.policy = self._draw_policy(0)
+        plant, runs = config.plant, len(self.seeds)
+        self.inputs = torch.zeros(runs, 0, pilco.DIM + 1, dtype=torch.float64)
+        self.targets = torch.zeros(runs, 4, 0, dtype=torch.float64)
+        self.hyper: Tensor | None = None
+        self.inducing: Tensor | None = None
+        times, steps = plant.steps + 1, plant.steps
+        sizes = {
+            "states": (times, 4),  # true
+            "observed": (times, 4),
+            "forces": (steps,),  # [N]
+            "costs": (steps,),  # realised, of the true states 1 ... T
+            "predicted_mean": (times, 4),
+            "predicted_variance": (times, 4),
+            "predicted_cost": (steps,),
+            "hyper": (4, pilco.DIM + 3),  # logs: length-scales, signal and noise standard deviation per output
+            "policy": (self.shape.size,),
+        }
+        self.log = {
+            k: torch.full((runs, self.total, *size), torch.nan, dtype=torch.float64) for k, size in sizes.items()
+        }
+        self.counts = {name: torch.zeros(runs, self.total, dtype=torch.int64) for name in self.COUNTS}
+        self.seconds = {name: [0.0] * self.total for name in ("model", "policy", "trial")}  # CPU, all repetitions
+
+    def advance(self) -> str:
+        """Train, improve the controller and run one trial; the first trial has random forces."""
+        started = time.process_time()
+        if self.done:
+            model = self._train()
+            trained = time.process_time()
+            self._improve(model)
+            self._predict(model)
+            self.seconds["model"][self.done] = trained - started
+            started, self.seconds["policy"][self.done] = time.process_time(), time.process_time() - trained
+        self._run_trial()
+        self.seconds["trial"][self.done] = time.process_time() - started
+        costs = self.log["costs"][:, self.done]
+        self.done += 1
+        count = int(solved(self.config.plant, costs).sum())
+        return f"cost {costs.mean():.3f}, solved {count}/{len(self.seeds)}"
+
+    def _train(self) -> SquaredExponential:
+        """Step 5: fit hyper-parameters, then inducing inputs if there are many data; return the posterior."""
+        config, outputs = self.config, self.targets.shape[1]
+        self.hyper, found = pilco.train_model(self.inputs, self.targets, self.hyper, config.model_iterations)
+        self.log["hyper"][:, self.done] = self.hyper
+        per_run = found.iterations.reshape(-1, outputs).sum(1)
+        self.counts["model_line_searches"][:, self.done] = per_run
+        repairs = (found.repairs + found.restarts).reshape(-1, outputs).sum(1)
+        model = gp.GaussianProcess(self.inputs, self.targets, self.hyper)
+        if 0 < config.inducing < self.inputs.shape[1]:
+            iterations = config.inducing_iterations
+            if self.inducing is None:
+                iterations *= 3
+                self.inducing = gp.initial_inducing(self.inputs, config.inducing, list(self.seeds))
+            self.inducing, found = gp.fit_inducing(model, self.inducing, iterations)
+            repairs = repairs + found.repairs + found.restarts
+            model = replace(model, inducing=self.inducing)
+        posterior, jittered = model.posterior()
+        self.counts["model_repairs"][:, self.done] = repairs + jittered
+        return posterior
+
+    def _improve(self, model: SquaredExponential) -> None:
+        """Steps 6 to 8; a controller that cannot be evaluated is redrawn once, then kept as it was."""
+        config, trial = self.config, self.done
+        found = pilco.improve(model, config.plant, self.shape, self.policy, config.policy_iterations)
+        best, lost = found.x, found.value.isnan()
+        if lost.any():
+            numbers = lost.nonzero()[:, 0].tolist()
+            fresh = self._draw_policy(trial)[lost]
+            again = pilco.improve(model.select(numbers), config.plant, self.shape, fresh, config.policy_iterations)
+            best[lost] = torch.where(again.value.isnan()[:, None], self.policy[lost], again.x)
+        self.policy = best
+        self.log["policy"][:, trial] = best
+        self.counts["policy_line_searches"][:, trial] = found.iterations
+        self.counts["policy_evaluations"][:, trial] = found.evaluations
+        self.counts["policy_repairs"][:, trial] = found.repairs + found.restarts
+        self.counts["policy_redrawn"][:, trial] = lost.long()
+
+    def _predict(self, model: SquaredExponential) -> None:
+        plant = self.config.plant
+        begin = pilco.start_distribution(plant, len(self.seeds))
+        states = pilco.predict(model, self.shape.controller(self.policy), plant, begin)
+        self.log["predicted_mean"][:, self.done] = states.mean
+        self.log["predicted_variance"][:, self.done] = states.cov.diagonal(dim1=-2, dim2=-1)
+        self.log["predicted_cost"][:, self.done] = pilco.expected_costs(plant, states)
+
+    def _run_trial(self) -> None:
+        """Step 4: run the trial and append its transitions to the data."""
+        plant, trial = self.config.plant, self.done
+        begin = self._draw(lambda g: cartpole.start_states(plant, (), g), "start")
+        noise = self._draw(lambda g: cartpole.observation_noise(plant, (plant.steps + 1,), g), "noise")
+        if trial == 0:
+            random = self._draw(lambda g: torch.rand(plant.steps, generator=g, dtype=torch.float64), "forces")
+            forces = plant.force_limit * (2 * random - 1)
+            rollout = cartpole.rollout(plant, begin, lambda _, t: forces[:, t], noise)
+        else:
+            controller = self.shape.controller(self.policy)
+            act = lambda observed, _: controllers.force(controller, plant, observed)  # noqa: E731
+            rollout = cartpole.rollout(plant, begin, act, noise)
+        inputs, targets = pilco.transitions(rollout.observed, rollout.forces)
+        self.inputs, self.targets = torch.cat((self.inputs, inputs), 1), torch.cat((self.targets, targets), 2)
+        self.log["costs"][:, trial] = cost(plant, rollout.states[:, 1:])
+        for name in ("states", "observed", "forces"):
+            self.log[name][:, trial] = getattr(rollout, name)
+
+    def _draw(self, draw: Any, name: str) -> Tensor:
+        return rng.stacked(draw, self.seeds, "environment", name, self.done)
+
+    def _draw_policy(self, trial: int) -> Tensor:
+        config = self.config
+
+        def draw(generator: Generator) -> Tensor:
+            return self.shape.initial(config.plant, config.target_std, config.log_length_scales, generator)
+
+        return rng.stacked(draw, self.seeds, "policy", trial)
+
+    def state(self) -> dict[str, Any]:
+        """Return everything needed to continue."""
+        kept = ("done", "policy", "inputs", "targets", "hyper", "inducing", "log", "counts", "seconds")
+        return {name: getattr(self, name) for name in kept}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from `state()` of a process made with the same arguments."""
+        for name, value in state.items():
+            setattr(self, name, value)
+
+    def result(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN."""
+        log = {name: value.numpy().astype(np.float32) for name, value in self.log.items()}
+        return log | {name: value.numpy().astype(np.int32) for name, value in self.counts.items()}
+
+    def timings(self) -> dict[str, list[float]]:
+        """Return CPU seconds per trial of all repetitions together, by part."""
+        return {f"{name}_cpu_s": values for name, values in self.seconds.items()}
+
+
+def start(config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float64") -> PilcoLearning:
+    """Return the process of one unit.
+
+    Raises:
+        ValueError: for another device or precision than the ones it is made for.
+    """
+    if (device, precision) != ("cpu", "float64"):
+        raise ValueError(f"PILCO runs on the cpu in float64, got {device} and {precision}; leave both out")
+    return PilcoLearning(config, seeds)
+
+
+def units(name: str, seeds: Sequence[int] = tuple(range(40)), device: str = "cpu") -> list[Unit]:
+    """Return the work of a named config, in batches of ten seeds.
+
+    Raises:
+        ValueError: if there is no config of that name.
+    """
+    if name not in CONFIGS:
+        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
+    groups = [tuple(seeds[i : i + GROUP]) for i in range(0, len(seeds), GROUP)]
+    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, "float64") for group in groups]
