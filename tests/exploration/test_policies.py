@@ -42,7 +42,7 @@ def test_thompson_takes_random_actions_until_the_memory_holds_the_burn_in():
     np.testing.assert_array_equal(frequencies(Thompson(), 3003), [0, 0, 1, 0, 0])
 
 
-@pytest.mark.parametrize("tick", [3003, 50_000, 150_000])
+@pytest.mark.parametrize("tick", [3003, 20_000, 150_000])
 def test_boltzmann_samples_the_softmax(tick):
     temperature = Boltzmann().temperature(tick)
     expected = np.exp(Q / temperature) / np.exp(Q / temperature).sum()
@@ -50,7 +50,7 @@ def test_boltzmann_samples_the_softmax(tick):
 
 
 def test_temperature_falls_from_start_to_end_and_stays():
-    choose = Boltzmann(burn_in=100, anneal_end=300, start=2.0, end=0.02)
+    choose = Boltzmann(burn_in=100, cooling_end=300, start=2.0, end=0.02)
     values = [choose.temperature(tick) for tick in (50, 101, 201, 301, 10_000)]
     assert values == pytest.approx([2.0, 2.0, 0.2, 0.02, 0.02])
 

@@ -57,13 +57,15 @@ class Config:
     burn_in: int = 3000
     """Transitions in memory before agents stop acting at random; the thesis says 25 batches."""
     anneal_end: int = 200_000
-    """Tick at which ε would reach 0, and the temperature does reach its end."""
+    """Tick at which ε would reach 0 if it did not stop at its floor."""
     epsilon_floor: float = 0.05
     """Smallest ε."""
-    temperature_start: float = 1.0
-    """Temperature at the end of the burn-in, in units of Q; our choice, the thesis gives none."""
-    temperature_end: float = 0.01
-    """Last temperature, in units of Q; our choice."""
+    temperature_start: float = 0.1
+    """Temperature at the end of the burn-in, in units of Q; ours, the thesis gives no schedule."""
+    temperature_end: float = 0.003
+    """Last temperature, in units of Q; ours."""
+    cooling_end: int = 50_000
+    """Tick at which the temperature reaches its end, having fallen geometrically; ours."""
     memory: int = 30_000
     """Transitions in the replay memory."""
     learning_start: int = 1000
@@ -102,6 +104,12 @@ def check(config: Config) -> None:
         raise ValueError(f"burn_in must exceed learning_start ({config.learning_start}), got {config.burn_in}")
     if config.anneal_end <= config.burn_in:
         raise ValueError(f"anneal_end must exceed burn_in ({config.burn_in}), got {config.anneal_end}")
+    if config.cooling_end <= config.burn_in:
+        raise ValueError(f"cooling_end must exceed burn_in ({config.burn_in}), got {config.cooling_end}")
+    if not 0 < config.temperature_end <= config.temperature_start:
+        raise ValueError(
+            f"temperatures must be positive and fall, got {config.temperature_start} to {config.temperature_end}"
+        )
     if config.held_out_every == 1 or config.held_out_every < 0:
         raise ValueError(f"held_out_every must be 0 or at least 2, got {config.held_out_every}")
 
@@ -143,13 +151,16 @@ CONFIGS: dict[str, Config] = {
 
 def make_policy(name: str, config: Config) -> Policy:
     """Return the policy of that name with the settings of the config."""
-    annealed = {"burn_in": config.burn_in, "anneal_end": config.anneal_end}
+    temperatures = {
+        "start": config.temperature_start, "end": config.temperature_end, "cooling_end": config.cooling_end,
+    }  # fmt: skip
     settings: dict[str, dict[str, Any]] = {
-        "thompson": {"burn_in": config.burn_in},
-        "epsilon-greedy": {**annealed, "floor": config.epsilon_floor},
+        "thompson": {},
+        "epsilon-greedy": {"anneal_end": config.anneal_end, "floor": config.epsilon_floor},
+        "boltzmann": temperatures,
+        "annealed-thompson": temperatures,
     }
-    temperatures = {**annealed, "start": config.temperature_start, "end": config.temperature_end}
-    return policy(name, **settings.get(name, temperatures))
+    return policy(name, burn_in=config.burn_in, **settings.get(name, {}))
 
 
 class Foraging:

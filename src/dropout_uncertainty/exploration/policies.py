@@ -88,15 +88,15 @@ class Boltzmann:
     """
 
     burn_in: int = 3000
-    anneal_end: int = 200_000
-    start: float = 1.0
-    end: float = 0.01
+    cooling_end: int = 50_000
+    start: float = 0.1
+    end: float = 0.003
     draws_weights: ClassVar[bool] = False
 
     def temperature(self, tick: int) -> float:
         """Return τ at ``tick``, in units of Q."""
-        learned = (tick - 1 - self.burn_in) / (self.anneal_end - self.burn_in)
-        return self.start * (self.end / self.start) ** min(1.0, max(0.0, learned))
+        cooled = (tick - 1 - self.burn_in) / (self.cooling_end - self.burn_in)
+        return self.start * (self.end / self.start) ** min(1.0, max(0.0, cooled))
 
     def __call__(self, q: NDArray, chance: Chance, tick: int) -> Int[np.ndarray, " R"]:
         """Return the actions."""
