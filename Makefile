@@ -42,8 +42,9 @@ clean: ## remove what was built; unfinished runs (records/.partial) stay
 $(READY): pyproject.toml constraints.txt
 	@for python in $(PYTHON) python3.13 python3.12 python3.11 python3 python; do \
 	  if $$python -c 'import sys, venv; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null; then \
-	    set -ex; $$python -m venv .venv; \
-	    $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[book,test]'; \
-	    touch $@; exit 0; \
+	    echo "Setting up .venv with $$($$python --version); the first time takes some minutes."; \
+	    $$python -m venv .venv \
+	      && $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[book,test]' \
+	      && touch $@; exit; \
 	  fi; \
 	done; echo "No Python 3.11, 3.12 or 3.13 was found: install one, or name it with make PYTHON=..." >&2; exit 1
