@@ -1,10 +1,10 @@
 """The command line: ``python -m dropout_uncertainty`` or ``dropout-uncertainty``."""
 
+import contextlib
 import importlib
 import json
 import re
 import sys
-from concurrent.futures import Executor, ProcessPoolExecutor
 from typing import Annotated, Any
 
 import typer
@@ -74,8 +74,9 @@ def run(
     # Seed by seed, so that every config has its first repetition before any has its second.
     by_seed = zip(*([unit for unit in module.units(name, numbers, **options)] for name in names), strict=True)
     units = [unit for group in by_seed for unit in group]
-    for record in runs.run(units, executor=pool(workers)):
-        typer.echo(record.path)
+    with runs.processes(workers) if workers > 1 else contextlib.nullcontext() as executor:
+        for record in runs.run(units, executor=executor):
+            typer.echo(record.path)
 
 
 @record_commands.command("list")
@@ -154,17 +155,6 @@ def seed_list(text: str) -> list[int]:
             raise UserError(f"seeds are given like 0-4 or 0,3,7, got {text!r}")
         seeds += range(int(match[1]), int(match[2] or match[1]) + 1)
     return list(dict.fromkeys(seeds))
-
-
-def pool(workers: int) -> Executor | None:
-    """Return an executor of so many single-threaded processes; None, to run here, for one."""
-    return ProcessPoolExecutor(workers, initializer=_one_thread) if workers > 1 else None
-
-
-def _one_thread() -> None:
-    import torch
-
-    torch.set_num_threads(1)
 
 
 def main() -> None:

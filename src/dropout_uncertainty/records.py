@@ -26,8 +26,8 @@ import numpy as np
 from dropout_uncertainty.errors import UserError
 
 __all__ = [
-    "Record", "RecordError", "checksum", "config_dict", "config_hash", "find", "provenance", "read", "root", "verify",
-    "write",
+    "Record", "RecordError", "checksum", "config_dict", "config_diff", "config_hash", "find", "provenance",
+    "read", "root", "verify", "write",
 ]  # fmt: skip
 
 SCHEMA = 1
@@ -73,6 +73,12 @@ def config_dict(config: Any) -> dict[str, Any]:
 def config_hash(config: Any) -> str:
     """Return 16 hexadecimal digits that identify the content of a config."""
     return hashlib.sha256(json.dumps(config_dict(config), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def config_diff(first: Any, second: Any) -> list[tuple[str, Any, Any]]:
+    """Return (field, value in first, value in second) for every field in which two configs differ."""
+    one, two = config_dict(first), config_dict(second)
+    return [(key, one.get(key), two.get(key)) for key in dict.fromkeys([*one, *two]) if one.get(key) != two.get(key)]
 
 
 def checksum(arrays: Mapping[str, np.ndarray]) -> str:

@@ -7,11 +7,12 @@ kept in ``records/.partial``. A run that was killed continues from there and end
 import contextlib
 import hashlib
 import io
+import multiprocessing
 import os
 import pickle
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -25,7 +26,7 @@ from dropout_uncertainty import records
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.records import Record, RecordError
 
-__all__ = ["Process", "RunError", "Unit", "check_device", "precision_dtype", "run", "run_unit"]
+__all__ = ["Process", "RunError", "Unit", "check_device", "precision_dtype", "processes", "run", "run_unit"]
 
 #: Seconds between checkpoints; a kill loses at most this much work and the step under way.
 CHECKPOINT_SECONDS = 20.0
@@ -146,6 +147,13 @@ def run(
             bar.set_postfix_str(futures[future].label)
             bar.update()
     return [future.result() for future in futures]
+
+
+def processes(workers: int | None = None) -> ProcessPoolExecutor:
+    """Return an executor of single-threaded processes, by default one per core; use it as a context."""
+    # Spawned, because a fork of a process that has started threads can hang.
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(workers or os.cpu_count(), context, initializer=torch.set_num_threads, initargs=(1,))
 
 
 def _existing(path: Path, unit: Unit) -> Record:

@@ -24,7 +24,8 @@ from dropout_uncertainty.stats import (
 )
 
 __all__ = [
-    "INITIAL", "LABELS", "STEP", "Row", "load_rows", "original_rows", "paired_error", "results", "share_tied",
+    "LABELS", "Row", "check_quick", "from_records", "load_rows", "original_rows", "paired_error", "reached",
+    "results", "share_tied",
 ]  # fmt: skip
 
 #: How each row is called in tables and figures.
@@ -39,8 +40,6 @@ LABELS: dict[str, str] = {
     "dropout/bald": "Dropout BALD",
     "dropout/mean-std": "Dropout Mean STD",
 }
-#: Labels before the first acquisition, and points acquired by each.
-INITIAL, STEP = 20, 10
 #: Test error in % that Table 5.2 counts acquisitions to.
 THRESHOLD = 5.0
 
@@ -93,10 +92,11 @@ class Row:
         return np.concatenate([record.arrays[name] for record in self.records])
 
 
-def load_rows(family: str = "ours", folder: Path | None = None) -> dict[str, Row]:
+def load_rows(family: str = "ours", folder: Path | None = None, *, published: bool = True) -> dict[str, Row]:
     """Return the recorded rows of a family of configs ("ours", "as-recorded", ...), in the order of ``LABELS``.
 
-    A row is there if at least one repetition is. Published seeds lie below 100; others are left out.
+    A row is there if at least one repetition is. Published seeds lie below 100; with ``published=False`` those of
+    development, 100 and above, are read instead.
 
     Raises:
         RecordError: if a record cannot be trusted.
@@ -104,7 +104,7 @@ def load_rows(family: str = "ours", folder: Path | None = None) -> dict[str, Row
     rows = {}
     for name in [*LABELS, *(["random-without-dropout"] if family == "ours" else [])]:
         config = f"{family}/{name}"
-        found = [r for r in records.find(EXPERIMENT, name=config, folder=folder) if max(r.seeds) < 100]
+        found = [r for r in records.find(EXPERIMENT, name=config, folder=folder) if (max(r.seeds) < 100) == published]
         if found:
             rows[name] = from_records(name, config, found)
     return rows
@@ -162,6 +162,21 @@ def paired_error(first: Row, second: Row, acquired_from: int, acquired_to: int) 
 def share_tied(row: Row) -> float:
     """Return the share of acquisition rounds in which every candidate had the same score (claim AL7)."""
     return float(row.stack("all_tied").mean())
+
+
+def check_quick(rows: dict[str, Row]) -> None:
+    """Check that the rows of config "quick" lie in wide bands, set before they were first run.
+
+    Raises:
+        ValueError: naming the row and the band that it leaves.
+    """
+    for name, row in rows.items():
+        for when, error, (low, high) in (("start", row.error[:, 0], (20, 80)), ("end", row.error[:, -1], (4, 30))):
+            if not ((low <= error) & (error <= high)).all():
+                raise ValueError(f"{row.label}: test error {error} % at the {when} is outside {low} to {high} %")
+        constant = name in ("random", "softmax/variation-ratios", "softmax/bald")
+        if (share_tied(row) == 1.0) != constant:
+            raise ValueError(f"{row.label}: scores tie in {share_tied(row):.0%} of the rounds, expected {constant:d}")
 
 
 def results(folder: Path | None = None) -> list[Result]:
