@@ -68,7 +68,7 @@ def close():
 
 @pytest.fixture(scope="session")
 def check_moments(derivatives, close):
-    """Return a check of mean, covariance and slope, and of their derivatives in m [D] and s [D, D], on a golden case."""
+    """Return a check of mean, covariance, slope and their derivatives in m [D] and s [D, D] on a golden case."""
 
     def check(case, function, m, s, names=("M", "S", "V"), tolerance=1e-9, slack=1e-9):
         got = function(m, s)

@@ -35,7 +35,10 @@ def test_rbf_controller_matches_the_original(golden, derivatives, close, check_m
     m, s = case["m"][:, 0], case["s"]
     parameters = (case["hyp"], case["inputs"], case["targets"])
     controller = controller_of(*parameters)
-    check_moments(case, lambda m, s: output(controller, m, s, limit), m, s, ("M", "S", "C"))
+    # for a certain input (case 4) the covariance is the jitter of 1e-6 plus rounding of the difference of two
+    # moments
+    tolerance = 1e-8 if s.abs().max() == 0 else 1e-9
+    check_moments(case, lambda m, s: output(controller, m, s, limit), m, s, ("M", "S", "C"), tolerance, tolerance)
     for i, name in enumerate("MSC"):
         columns = []
         for j, parameter in enumerate(parameters):
@@ -62,8 +65,8 @@ def test_saturating_moments_match_the_original(golden, derivatives, close):
                 assert got[1].abs() < 1e-14
             else:
                 close(got[i], case[name], 1e-9, name)
-            d_m = derivatives.jacobian(lambda m, i=i: moments(m, s)[i].reshape(-1), m)
-            d_s = derivatives.jacobian(lambda s, i=i: moments(m, s)[i].reshape(-1), s)
+            d_m = derivatives.jacobian(lambda m, i=i, s=s: moments(m, s)[i].reshape(-1), m)
+            d_s = derivatives.jacobian(lambda s, i=i, m=m: moments(m, s)[i].reshape(-1), s)
             scale = max(case[f"d{name}dm"].abs().max().item(), 1e-6)
             assert (d_m - case[f"d{name}dm"]).abs().max() < 1e-9 * scale, name
             expected = derivatives.symmetrise(case[f"d{name}ds"].reshape(len(d_s), -1), 6)
@@ -86,8 +89,8 @@ def test_cost_of_a_gaussian_state_matches_the_original(golden, derivatives, clos
             return (total / len(widths)).reshape(1)
 
         close(value(m, s), case["L"], name="L")
-        close(derivatives.jacobian(lambda m: value(m, s), m), case["dLdm"], name="dLdm")
-        jac = derivatives.symmetrise(derivatives.jacobian(lambda s: value(m, s), s), 4)
+        close(derivatives.jacobian(lambda m, s=s: value(m, s), m), case["dLdm"], name="dLdm")
+        jac = derivatives.symmetrise(derivatives.jacobian(lambda s, m=m: value(m, s), s), 4)
         close(jac, derivatives.symmetrise(case["dLds"], 4), 1e-8, "dLds")
 
 

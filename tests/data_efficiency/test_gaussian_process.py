@@ -71,7 +71,7 @@ def test_fit_finds_noise_relevance_and_the_function():
 def test_gradient_by_finite_differences_over_a_batch():
     x, y = line(12, replicas=3)
     hyper = gp.initial_hyper(x, y)[:, 0] + 0.3
-    value, gradient = gp.negative_log_likelihood(hyper, x, y[:, 0])
+    _, gradient = gp.negative_log_likelihood(hyper, x, y[:, 0])
     for i in range(hyper.shape[1]):
         step = torch.zeros_like(hyper)
         step[:, i] = 1e-6

@@ -19,6 +19,7 @@ from dropout_uncertainty.data_efficiency.moment_matching import (
     Moments,
     SquaredExponential,
     linear_moments,
+    nan_cholesky,
     sine_moments,
     squared_exponential,
 )
@@ -61,7 +62,7 @@ class RBFController:
         """Return the posterior mean of a process that saw `targets` at `centres`, as PILCO does."""
         noise = NOISE_STD**2 * torch.eye(centres.shape[-2], dtype=centres.dtype, device=centres.device)
         gram = squared_exponential(centres, centres, log_length_scales, torch.zeros_like(targets[..., 0])) + noise
-        weights = torch.cholesky_solve(targets[..., None], torch.linalg.cholesky(gram))[..., 0]
+        weights = torch.cholesky_solve(targets[..., None], nan_cholesky(gram))[..., 0]
         return cls(centres, log_length_scales, weights)
 
     @property

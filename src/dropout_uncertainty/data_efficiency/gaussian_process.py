@@ -16,7 +16,11 @@ from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.lockstep import Minimum, minimise
-from dropout_uncertainty.data_efficiency.moment_matching import SquaredExponential, squared_exponential
+from dropout_uncertainty.data_efficiency.moment_matching import (
+    SquaredExponential,
+    nan_cholesky,
+    squared_exponential,
+)
 
 MAX_SIGNAL_TO_NOISE = 1000.0
 MAX_LENGTH_SCALE = 100.0  # in standard deviations of the input
@@ -54,8 +58,7 @@ class GaussianProcess:
         """Return the posterior over the functions, and how many covariances of each replica needed jitter."""
         if self.inducing is not None:
             return self._inducing_posterior()
-        gram, identity = _gram(self.inputs, self.log_hyper)
-        factor, repaired = robust_cholesky(gram)
+        factor, repaired = robust_cholesky(_gram(self.inputs, self.log_hyper))
         weights = torch.cholesky_solve(self.targets[..., None], factor)[..., 0]
         return self._functions(self.inputs, weights, torch.cholesky_inverse(factor)), repaired.sum(-1)
 
@@ -94,10 +97,9 @@ def negative_log_likelihood(
     NaN where the covariance cannot be factorised. No array of D x N x N numbers is made: the sum over n, m of
     W_nm (x_n - x_m)^2 is 2 sum_n r_n x_n^2 - 2 x' W x with r the row sums of the symmetric W.
     """
-    gram = _gram(inputs, log_hyper[:, None])[0][:, 0]
+    gram = _gram(inputs, log_hyper[:, None])[:, 0]
     noise = torch.exp(2 * log_hyper[:, -1])
-    factor, info = torch.linalg.cholesky_ex(gram)
-    factor = torch.where((info > 0)[:, None, None], torch.nan, factor)
+    factor = nan_cholesky(gram)
     weights = torch.cholesky_solve(targets[..., None], factor)[..., 0]
     half_log_det = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
     value = (targets * weights).sum(-1) / 2 + half_log_det + targets.shape[-1] / 2 * math.log(2 * math.pi)
@@ -153,17 +155,17 @@ def fit_hyper(
 def inducing_negative_log_likelihood(
     inducing: Float[Tensor, "R M D"], model: GaussianProcess
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, "R M D"]]:
-    """Return the FITC negative log marginal likelihood [nat], summed over outputs, and its gradient in the inducing inputs."""
+    """Return the FITC negative log likelihood [nat], summed over outputs, and its gradient in the inducing inputs."""
     inducing = inducing.detach().requires_grad_()
     noise = torch.exp(2 * model.log_hyper[..., -1])[..., None]
     with torch.enable_grad():
         own, cross, residual = _inducing_covariances(model.inputs, inducing, model.log_hyper)
-        factor = _nan_cholesky(own)
+        factor = nan_cholesky(own)
         whitened = torch.linalg.solve_triangular(factor, cross, upper=False)
         diagonal = noise + (residual - (whitened**2).sum(-2))
         scaled = whitened / diagonal[..., None, :]
         identity = torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
-        inner = _nan_cholesky(identity + scaled @ whitened.mT)
+        inner = nan_cholesky(identity + scaled @ whitened.mT)
         projected = torch.linalg.solve_triangular(inner, scaled @ model.targets[..., None], upper=False)[..., 0]
         fit = (model.targets**2 / diagonal).sum(-1) - (projected**2).sum(-1)
         log_det = diagonal.log().sum(-1) + 2 * inner.diagonal(dim1=-2, dim2=-1).log().sum(-1)
@@ -217,14 +219,14 @@ def robust_cholesky(matrix: Float[Tensor, "*batch N N"]) -> tuple[Float[Tensor, 
     return factor, repaired
 
 
-def _gram(inputs: Tensor, log_hyper: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the covariance of the targets [R, E, N, N] and its diagonal's view."""
+def _gram(inputs: Tensor, log_hyper: Tensor) -> Tensor:
+    """Return the covariance of the targets [R, E, N, N]."""
     gram = squared_exponential(inputs, inputs, log_hyper[..., :-2], log_hyper[..., -2])
-    diagonal = gram.diagonal(dim1=-2, dim2=-1)
-    diagonal.copy_(
-        (torch.exp(2 * log_hyper[..., -2]) + torch.exp(2 * log_hyper[..., -1]))[..., None].expand_as(diagonal)
-    )
-    return gram, diagonal
+    variance = torch.exp(2 * log_hyper[..., -2:]).sum(-1)[
+        ..., None
+    ]  # set, not added: distances of 0 may come out as 1e-16
+    gram.diagonal(dim1=-2, dim2=-1).copy_(variance.expand(gram.shape[:-1]))
+    return gram
 
 
 def _inducing_covariances(inputs: Tensor, inducing: Tensor, log_hyper: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -233,9 +235,3 @@ def _inducing_covariances(inputs: Tensor, inducing: Tensor, log_hyper: Tensor) -
     own = squared_exponential(inducing, inducing, scales, signal)
     own = own + RIDGE * torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
     return own, squared_exponential(inducing, inputs, scales, signal), torch.exp(2 * signal)[..., None]
-
-
-def _nan_cholesky(matrix: Tensor) -> Tensor:
-    """Return Cholesky factors, NaN for a matrix that has none."""
-    factor, info = torch.linalg.cholesky_ex(matrix)
-    return torch.where((info > 0)[..., None, None], torch.nan, factor) if info.any() else factor

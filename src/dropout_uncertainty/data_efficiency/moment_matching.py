@@ -295,10 +295,14 @@ class _SPDInverse(torch.autograd.Function):
         return g_log_det[..., None, None] * inverse - inverse @ g_inverse @ inverse
 
 
-def _spd_inverse(matrix: Tensor) -> tuple[Tensor, Tensor]:
+def nan_cholesky(matrix: Tensor) -> Tensor:
+    """Return Cholesky factors, all NaN for a matrix that has none: one bad replica must not stop the others."""
     factor, info = torch.linalg.cholesky_ex(matrix)
-    if info.any():
-        factor = torch.where((info > 0)[..., None, None], torch.nan, factor)
+    return torch.where((info > 0)[..., None, None], torch.nan, factor) if info.any() else factor
+
+
+def _spd_inverse(matrix: Tensor) -> tuple[Tensor, Tensor]:
+    factor = nan_cholesky(matrix)
     return torch.cholesky_inverse(factor), 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 

@@ -1,0 +1,137 @@
+"""Learning runs: data kept, continued, batched and reported as they should be."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from dropout_uncertainty.data_efficiency import experiment, pilco
+from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER, features, step
+from dropout_uncertainty.data_efficiency.controllers import force
+from dropout_uncertainty.data_efficiency.cost import cost, solved
+from dropout_uncertainty.rng import generator
+
+#: Two short trials with the least work that goes through every part.
+SHORT = replace(
+    experiment.PILCO_PAPER,
+    plant=replace(PAPER, steps=6, solved_steps=2),
+    trials=2,
+    basis=3,
+    policy_iterations=3,
+    model_iterations=10,
+)
+
+
+def finish(process):
+    while process.done < process.total:
+        process.advance()
+    return process
+
+
+@pytest.fixture(scope="module")
+def finished():
+    return finish(experiment.start(SHORT, (100, 101)))
+
+
+def test_record_holds_consistent_trials(finished):
+    record = finished.result()
+    states, forces = (torch.from_numpy(record[name]).double() for name in ("states", "forces"))
+    assert states.shape == (2, 3, 7, 4)
+    moved = step(SHORT.plant, states[:, :, :-1], forces)
+    torch.testing.assert_close(moved, states[:, :, 1:], rtol=0, atol=1e-4)
+    torch.testing.assert_close(cost(SHORT.plant, states[:, :, 1:]).float(), torch.from_numpy(record["costs"]))
+    assert np.abs(record["forces"]).max() <= 10
+    noise = record["observed"] - record["states"]
+    assert 0.007 < noise.std() < 0.013
+    assert np.isnan(record["predicted_mean"][:, 0]).all()
+    assert np.isfinite(record["predicted_mean"][:, 1:]).all()
+    assert (record["predicted_variance"][:, 1:] >= 0).all()
+    assert (record["policy_line_searches"][:, 1:] >= 1).all()
+    assert all(record[name].dtype in (np.float32, np.int32) for name in record)
+
+
+def test_models_learn_from_every_transition_seen(finished):
+    record = finished.result()
+    assert finished.inputs.shape == (2, 18, 6)
+    seen = features(torch.from_numpy(record["observed"][1, 2, 3]).double())
+    torch.testing.assert_close(finished.inputs[1, 15, :5], seen, rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(finished.inputs[1, 15, 5].float(), torch.tensor(record["forces"][1, 2, 3]))
+
+
+def test_the_recorded_controller_gives_the_recorded_forces(finished):
+    record = finished.result()
+    controller = finished.shape.controller(torch.from_numpy(record["policy"][:, 2]).double())
+    again = force(controller, SHORT.plant, torch.from_numpy(record["observed"][:, 2, :-1]).double())
+    np.testing.assert_allclose(again.numpy(), record["forces"][:, 2], rtol=0, atol=2e-2)
+
+
+def test_continued_equals_uninterrupted(finished, tmp_path):
+    half = experiment.start(SHORT, (100, 101))
+    for _ in range(2):
+        half.advance()
+    torch.save(half.state(), tmp_path / "state.pt")
+    other = experiment.start(SHORT, (100, 101))
+    other.restore(torch.load(tmp_path / "state.pt", weights_only=True))
+    finish(other)
+    for name, expected in finished.result().items():
+        np.testing.assert_array_equal(other.result()[name], expected, err_msg=name)
+
+
+def test_a_repetition_alone_equals_the_same_among_others(finished):
+    alone = finish(experiment.start(SHORT, (101,))).result()
+    for name in ("states", "forces", "predicted_mean", "hyper", "policy"):
+        np.testing.assert_allclose(alone[name][0], finished.result()[name][1], rtol=1e-5, atol=1e-5, err_msg=name)
+
+
+def test_inducing_inputs_come_into_use():
+    config = replace(SHORT, inducing=8, inducing_iterations=2)
+    process = finish(experiment.start(config, (100,)))
+    assert process.inducing.shape == (1, 8, 6)
+    assert np.isfinite(process.result()["costs"]).all()
+
+
+def test_a_controller_that_cannot_be_evaluated_is_redrawn_and_counted(finished):
+    process = experiment.start(SHORT, (100, 101))
+    process.advance()
+    process.policy[1] = math.nan
+    process.advance()
+    record = process.result()
+    assert record["policy_redrawn"][:, 1].tolist() == [0, 1]
+    assert np.isfinite(record["policy"][:, 1]).all()
+    np.testing.assert_allclose(record["policy"][0, 1], finished.result()["policy"][0, 1], rtol=1e-5, atol=1e-5)
+
+
+def test_units_cut_seeds_into_batches_and_presets_differ_in_the_plant_only():
+    units = experiment.units("pilco-paper", range(100, 125))
+    assert [len(unit.seeds) for unit in units] == [10, 10, 5]
+    assert units[0].label == "data_efficiency/pilco-paper/100-109"
+    assert replace(experiment.PILCO_PAPER, plant=MATLAB) == experiment.PILCO_MATLAB
+
+
+def test_bad_input_is_named():
+    with pytest.raises(ValueError, match=r"unknown config 'pilco', choose one of pilco-paper, pilco-matlab"):
+        experiment.units("pilco")
+    with pytest.raises(ValueError, match="at least one seed"):
+        experiment.start(SHORT, ())
+    with pytest.raises(ValueError, match="must be positive"):
+        replace(SHORT, trials=0)
+    with pytest.raises(ValueError, match="float64, got cuda"):
+        experiment.start(SHORT, (100,), device="cuda")
+
+
+def test_first_centres_come_from_the_start_distribution():
+    shape = pilco.PolicyShape(400)
+    parameters = shape.initial(PAPER, 0.1, (0.0,) * 5, generator(100))
+    centres = parameters[5:-400].reshape(400, 5)
+    np.testing.assert_allclose(centres.mean(0), [0, 0, 0, 0, -1], atol=0.01)
+    np.testing.assert_allclose(centres[:, :4].std(0), 0.02, rtol=0.2)
+
+
+@pytest.mark.slow
+def test_learns_to_swing_up_and_balance():
+    """At least one of two repetitions is solved within five trials of the original's plant."""
+    config = replace(experiment.PILCO_MATLAB, trials=5)
+    process = finish(experiment.start(config, (100, 101)))
+    assert solved(config.plant, process.log["costs"]).any()
