@@ -42,7 +42,7 @@ def test_thompson_takes_random_actions_until_the_memory_holds_the_burn_in():
     np.testing.assert_array_equal(frequencies(Thompson(), 3003), [0, 0, 1, 0, 0])
 
 
-@pytest.mark.parametrize("tick", [3003, 20_000, 150_000])
+@pytest.mark.parametrize("tick", [3003, 50_000, 150_000])
 def test_boltzmann_samples_the_softmax(tick):
     temperature = Boltzmann().temperature(tick)
     expected = np.exp(Q / temperature) / np.exp(Q / temperature).sum()

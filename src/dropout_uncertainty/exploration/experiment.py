@@ -61,10 +61,10 @@ class Config:
     epsilon_floor: float = 0.05
     """Smallest ε."""
     temperature_start: float = 0.1
-    """Temperature at the end of the burn-in, in units of Q; ours, the thesis gives no schedule."""
+    """Temperature at the end of the burn-in, in units of Q; ours, see ``Boltzmann``."""
     temperature_end: float = 0.003
     """Last temperature, in units of Q; ours."""
-    cooling_end: int = 50_000
+    cooling_end: int = 200_000
     """Tick at which the temperature reaches its end, having fallen geometrically; ours."""
     memory: int = 30_000
     """Transitions in the replay memory."""

@@ -83,12 +83,12 @@ class Thompson:
 class Boltzmann:
     """Samples an action from softmax(Q / τ), with τ falling geometrically from ``start`` to ``end`` (thesis, Remark).
 
-    The thesis gives no schedule. Ours ends where ε does; values of Q lie near 3 and those of different actions some
-    tenths apart, so the start is close to uniform and the end close to the maximum.
+    The thesis gives no schedule. Ours falls while ε does, from 0.1, about the difference in Q between
+    the best and the worst action of a trained network, to 0.003, a tenth of that between the best two.
     """
 
     burn_in: int = 3000
-    cooling_end: int = 50_000
+    cooling_end: int = 200_000
     start: float = 0.1
     end: float = 0.003
     draws_weights: ClassVar[bool] = False
