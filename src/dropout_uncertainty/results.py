@@ -16,7 +16,7 @@ from dropout_uncertainty.stats import Interval
 
 __all__ = [
     "MIN_REPETITIONS", "Claim", "Judgement", "Part", "Result", "Sign", "Verdict", "combine", "direction", "measured",
-    "same_value", "thesis_value",
+    "missing", "same_value", "thesis_value",
 ]  # fmt: skip
 
 Verdict = Literal["replicated", "partly", "not replicated", "undecided"]
@@ -146,6 +146,11 @@ def combine(verdicts: Iterable[Verdict]) -> Verdict:
     return found.pop() if len(found) == 1 else "partly"
 
 
+def missing(what: str) -> "Part":
+    """Return the part of a claim for which there are no records yet; it leaves the claim undecided."""
+    return Part(what, Interval(math.nan, math.nan, math.nan, 0), "", "undecided")
+
+
 @dataclass(frozen=True)
 class Part:
     """One quantity that a claim rests on: what it is, its interval and unit, and how it is judged by itself."""
@@ -158,6 +163,8 @@ class Part:
     def __str__(self) -> str:
         """Return the part in words, e.g. "BALD, end: -2.1 [-2.4, -1.8] points"."""
         value, low, high, n = self.interval
+        if n == 0:
+            return f"{self.what}: no records yet"
         limits = f" [{low:.3g}, {high:.3g}]" if n > 1 and not math.isnan(low) else ""
         return f"{self.what}: {value:.3g}{limits}{' ' if self.unit else ''}{self.unit}"
 
@@ -202,7 +209,7 @@ class Judgement:
     @property
     def sentence(self) -> str:
         """The explanation: every part, and how many repetitions there are."""
-        if not self.parts:
+        if not self.records:
             return "No records yet."
         least = min(part.interval.n for part in self.parts)
         few = f" At least {MIN_REPETITIONS} repetitions are needed for a verdict." if least < MIN_REPETITIONS else ""

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from dropout_uncertainty import records
 from dropout_uncertainty.active_learning.experiment import EXPERIMENT, ROWS
 from dropout_uncertainty.records import Record
-from dropout_uncertainty.results import Result, measured
+from dropout_uncertainty.results import Result, measured, thesis_value
 from dropout_uncertainty.stats import (
     Interval,
     bootstrap_interval,
@@ -24,8 +24,8 @@ from dropout_uncertainty.stats import (
 )
 
 __all__ = [
-    "LABELS", "Row", "check_quick", "from_records", "load_rows", "original_rows", "paired_error", "reached",
-    "results", "share_tied",
+    "LABELS", "Row", "check_quick", "from_records", "load_rows", "original_rows", "paired_error", "results",
+    "share_tied", "table_5_1", "table_5_2",
 ]  # fmt: skip
 
 #: How each row is called in tables and figures.
@@ -216,3 +216,39 @@ def _row_results(row: Row, suffix: str) -> list[Result]:
 def reached(value: float, last: int) -> str:
     """Return a number of acquisitions in words: "> last" if it was not reached."""
     return f"{value:.0f}" if math.isfinite(value) else f"> {last}"
+
+
+def _error_cell(interval: Interval | None) -> str | None:
+    if interval is None:
+        return None
+    return f"{interval.value:.2f}" + ("" if interval.n < 2 else f" [{interval.low:.2f}, {interval.high:.2f}]")
+
+
+def _steps_cell(interval: Interval | None, last: int) -> str | None:
+    if interval is None:
+        return None
+    value, low, high = (reached(x, last) for x in interval[:3])
+    return value if interval.n < 2 else f"{value} [{low}, {high}]"
+
+
+def table_5_1(rows: dict[str, Row]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells of Table 5.1: test error in % of thesis, original curves and ``rows``."""
+    heads = ["", "thesis", "original, minimum", "original, last", "ours, minimum", "ours, last", "repetitions"]
+    cells = []
+    for name, row in rows.items():
+        old = original_rows().get(name)
+        intervals = [old and old.minimum, old and old.last, row.minimum, row.last]
+        cells.append([row.label, thesis_value(f"table-5.1/{name}"), *map(_error_cell, intervals), len(row.error)])
+    return heads, cells
+
+
+def table_5_2(rows: dict[str, Row], threshold: float = THRESHOLD) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells of Table 5.2: acquisitions to ``threshold`` % (thesis and original curves: 5 %)."""
+    heads = ["", "thesis", "original", "original, median-5", "ours", "ours, median-5", "repetitions"]
+    cells = []
+    for name, row in rows.items():
+        old, printed = original_rows().get(name), thesis_value(f"table-5.2/{name}")
+        before = [_steps_cell(old and old.crossing(width=width), 98) for width in (1, 5)]
+        now = [_steps_cell(row.crossing(threshold, width=width), row.error.shape[1] - 1) for width in (1, 5)]
+        cells.append([row.label, printed and f"{printed:.0f}", *before, *now, len(row.error)])
+    return heads, cells

@@ -5,9 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
-from dropout_uncertainty.active_learning.analysis import Row, load_rows, original_rows, paired_error, share_tied
+from dropout_uncertainty.active_learning.analysis import LABELS, Row, load_rows, original_rows, paired_error, share_tied
 from dropout_uncertainty.records import Record
-from dropout_uncertainty.results import MIN_REPETITIONS, Claim, Part, Sign, Verdict, direction, same_value, thesis_value
+from dropout_uncertainty.results import (
+    MIN_REPETITIONS,
+    Claim,
+    Part,
+    Sign,
+    Verdict,
+    direction,
+    missing,
+    same_value,
+    thesis_value,
+)
 from dropout_uncertainty.stats import Interval, bootstrap_interval, first_crossing, t_interval
 
 __all__ = ["CLAIMS"]
@@ -53,7 +63,7 @@ def difference(
 ) -> list[Part]:
     """Return the part "test error of first minus second over a range of acquired points"."""
     if not rows.having(first, second):
-        return []
+        return [missing(what)]
     interval = paired_error(rows[first], rows[second], *acquired)
     return [Part(what, interval, "points", direction(interval, expected=expected))]
 
@@ -61,9 +71,13 @@ def difference(
 def same(rows: UsedRows, table: str, quantity: Callable[[Row], Interval], unit: str) -> list[Part]:
     """Return one part for each cell that the table prints and we have."""
     parts = []
-    for name in list(rows):
+    for name, label in LABELS.items():
         printed = thesis_value(f"{table}/{name}")
-        if printed is not None and rows.having(name):
+        if printed is None:
+            continue
+        if not rows.having(name):
+            parts.append(missing(label))
+        else:
             interval = quantity(rows[name])
             parts.append(
                 Part(f"{rows[name].label} (thesis {printed:g})", interval, unit, same_value(interval, printed))
@@ -149,6 +163,8 @@ def al6(rows: UsedRows) -> list[Part]:
         if rows.having(f"dropout/{name}", f"softmax/{name}"):
             interval = crossing_ratio(rows[f"dropout/{name}"], rows[f"softmax/{name}"])
             parts.append(Part(NAMES[name], interval, "", direction(interval, expected="negative", null=1.0)))
+        else:
+            parts.append(missing(NAMES[name]))
     return parts
 
 
@@ -210,7 +226,10 @@ def al8(rows: UsedRows) -> list[Part]:
         equal: Verdict = "replicated" if round(row.minimum.value, 2) == printed else "not replicated"
         parts.append(Part(f"recorded {row.label} (thesis {printed})", row.minimum, "%", equal))
     recorded = load_rows("as-recorded")
-    if "random" in recorded and rows.having("random"):
+    what = "Random as recorded - common setting, end"
+    if "random" not in recorded or not rows.having("random"):
+        parts.append(missing(what))
+    else:
         interval = paired_error(recorded["random"], rows["random"], *END)
         parts.append(
             Part(
