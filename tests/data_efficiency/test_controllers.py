@@ -47,7 +47,7 @@ def test_rbf_controller_matches_the_original(golden, derivatives, close, check_m
                 return output(controller_of(*parameters[:j], p, *parameters[j + 1 :]), m, s, limit)[i]
 
             columns.append(derivatives.jacobian(varied, parameter))
-        close(torch.cat(columns, 1), case[f"d{name}dp"], 1e-9, f"d{name}dp")
+        close(torch.cat(columns, 1), case[f"d{name}dp"], tolerance, f"d{name}dp")
 
 
 def test_saturating_moments_match_the_original(golden, derivatives, close):

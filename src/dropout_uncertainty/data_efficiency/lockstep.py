@@ -114,7 +114,8 @@ class _Problem(threading.Thread):
             }
             outcome = optimize.minimize(self._ask, self.best, jac=True, method="L-BFGS-B", options=options)
             self.iterations += outcome.nit
-            if not math.isfinite(self.value) or "ABNORMAL" not in outcome.message:
+            # SciPy calls some failed line searches converged; they end above the best point
+            if not ("ABNORMAL" in outcome.message or outcome.fun > self.value) or math.isnan(self.value):
                 return
             self.restarts += 1
             if self.restarts > self.max_restarts or outcome.nit == 0:
