@@ -231,11 +231,7 @@ def al8(rows: UsedRows) -> list[Part]:
         parts.append(missing(what))
     else:
         interval = paired_error(recorded["random"], rows["random"], *END)
-        parts.append(
-            Part(
-                "Random as recorded - common setting, end", interval, "points", direction(interval, expected="positive")
-            )
-        )
+        parts.append(Part(what, interval, "points", direction(interval, expected="positive")))
     return parts
 
 
