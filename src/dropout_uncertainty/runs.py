@@ -180,15 +180,18 @@ def _compute(unit: Unit, path: Path, partial: Path, progress: bool, position: in
     with tqdm(
         total=process.total, initial=process.done, desc=unit.label, disable=not progress, position=position
     ) as bar:
-        last = time.monotonic()
+        last, saving = time.monotonic(), 0.0
         while process.done < process.total:
             with _timed(clock):
                 status = process.advance()
             bar.set_postfix_str(status, refresh=False)
             bar.update()
-            if time.monotonic() - last > CHECKPOINT_SECONDS and process.done < process.total:
+            begin = time.monotonic()
+            # A large state is saved less often, so that saving takes a thirtieth of the time at most.
+            if begin - last > max(CHECKPOINT_SECONDS, 30 * saving) and process.done < process.total:
                 _save(partial, {"state": process.state(), "clock": clock})
                 last = time.monotonic()
+                saving = last - begin
     header = {**unit.identity, "config": records.config_dict(unit.config), "provenance": {**where, **clock}}
     record = records.write(path, process.result(), header)
     partial.unlink(missing_ok=True)

@@ -234,21 +234,28 @@ def _steps_cell(interval: Interval | None, last: int) -> str | None:
 def table_5_1(rows: dict[str, Row]) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells of Table 5.1: test error in % of thesis, original curves and ``rows``."""
     heads = ["", "thesis", "original, minimum", "original, last", "ours, minimum", "ours, last", "repetitions"]
-    cells = []
+    cells: list[list[object]] = []
     for name, row in rows.items():
         old = original_rows().get(name)
-        intervals = [old and old.minimum, old and old.last, row.minimum, row.last]
-        cells.append([row.label, thesis_value(f"table-5.1/{name}"), *map(_error_cell, intervals), len(row.error)])
+        before = [old.minimum, old.last] if old else [None, None]
+        cells.append(
+            [
+                row.label,
+                thesis_value(f"table-5.1/{name}"),
+                *map(_error_cell, [*before, row.minimum, row.last]),
+                len(row.error),
+            ]
+        )
     return heads, cells
 
 
 def table_5_2(rows: dict[str, Row], threshold: float = THRESHOLD) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells of Table 5.2: acquisitions to ``threshold`` % (thesis and original curves: 5 %)."""
     heads = ["", "thesis", "original", "original, median-5", "ours", "ours, median-5", "repetitions"]
-    cells = []
+    cells: list[list[object]] = []
     for name, row in rows.items():
         old, printed = original_rows().get(name), thesis_value(f"table-5.2/{name}")
-        before = [_steps_cell(old and old.crossing(width=width), 98) for width in (1, 5)]
+        before = [_steps_cell(old.crossing(width=width) if old else None, 98) for width in (1, 5)]
         now = [_steps_cell(row.crossing(threshold, width=width), row.error.shape[1] - 1) for width in (1, 5)]
         cells.append([row.label, printed and f"{printed:.0f}", *before, *now, len(row.error)])
     return heads, cells

@@ -122,7 +122,7 @@ def features(state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 5"]:
 
 
 def start_states(
-    plant: CartPole, shape: tuple[int, ...], generator: Generator, dtype=torch.float64
+    plant: CartPole, shape: tuple[int, ...], generator: Generator, dtype: torch.dtype = torch.float64
 ) -> Float[Tensor, "*shape 4"]:
     """Return draws from the start distribution p(X_0)."""
     noise = torch.randn(*shape, 4, generator=generator, dtype=dtype, device=generator.device)
@@ -130,7 +130,7 @@ def start_states(
 
 
 def observation_noise(
-    plant: CartPole, shape: tuple[int, ...], generator: Generator, dtype=torch.float64
+    plant: CartPole, shape: tuple[int, ...], generator: Generator, dtype: torch.dtype = torch.float64
 ) -> Float[Tensor, "*shape 4"]:
     """Return draws of the noise added to true states to make observed ones."""
     return plant.observation_noise * torch.randn(*shape, 4, generator=generator, dtype=dtype, device=generator.device)
@@ -166,12 +166,12 @@ def rollout(
     expected = (*start.shape[:-1], plant.steps + 1, 4)
     if tuple(noise.shape) != expected:
         raise ValueError(f"expected observation noise of shape {expected}, got {tuple(noise.shape)}")
-    states, forces = [start], []
+    visited, forces = [start], []
     for t in range(plant.steps):
-        force = act(states[-1] + noise[..., t, :], t).clamp(-plant.force_limit, plant.force_limit)
+        force = act(visited[-1] + noise[..., t, :], t).clamp(-plant.force_limit, plant.force_limit)
         if not force.isfinite().all():
             raise ValueError(f"expected finite forces, got NaN or infinity at step {t}; look at the controller")
         forces.append(force)
-        states.append(step(plant, states[-1], force))
-    states = torch.stack(states, -2)
+        visited.append(step(plant, visited[-1], force))
+    states = torch.stack(visited, -2)
     return Rollout(states, states + noise, torch.stack(forces, -1))

@@ -42,7 +42,7 @@ class PilcoConfig:
     inducing: int = 300
     """Inducing inputs, used once there are more transitions than this; 0: never."""
     inducing_iterations: int = 100
-    """Line searches per trial for the inducing inputs, three times as many at first; the original has 500 evaluations."""
+    """Line searches per trial for the inducing inputs, thrice as many at first; the original has 500 evaluations."""
     target_std: float = 0.1
     """Standard deviation of the first targets of the controller's basis functions."""
     log_length_scales: tuple[float, ...] = (0.0, 0.0, 0.0, -0.35667494393873245, -0.35667494393873245)

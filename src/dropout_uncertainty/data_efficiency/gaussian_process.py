@@ -57,14 +57,14 @@ class GaussianProcess:
     def posterior(self) -> tuple[SquaredExponential, Int[Tensor, " R"]]:
         """Return the posterior over the functions, and how many covariances of each replica needed jitter."""
         if self.inducing is not None:
-            return self._inducing_posterior()
+            return self._inducing_posterior(self.inducing)
         factor, repaired = robust_cholesky(_gram(self.inputs, self.log_hyper))
         weights = torch.cholesky_solve(self.targets[..., None], factor)[..., 0]
         return self._functions(self.inputs, weights, torch.cholesky_inverse(factor)), repaired.sum(-1)
 
-    def _inducing_posterior(self) -> tuple[SquaredExponential, Tensor]:
+    def _inducing_posterior(self, inducing: Tensor) -> tuple[SquaredExponential, Tensor]:
         noise = torch.exp(2 * self.log_hyper[..., -1])[..., None]
-        own, cross, residual = _inducing_covariances(self.inputs, self.inducing, self.log_hyper)
+        own, cross, residual = _inducing_covariances(self.inputs, inducing, self.log_hyper)
         factor, repaired = robust_cholesky(own)
         whitened = torch.linalg.solve_triangular(factor, cross, upper=False)
         diagonal = noise + (residual - (whitened**2).sum(-2))  # of the conditional covariance of the targets
@@ -76,7 +76,7 @@ class GaussianProcess:
             ..., 0
         ]
         precision = torch.cholesky_inverse(factor) - root.mT @ root
-        return self._functions(self.inducing, weights, precision), (repaired | also).sum(-1)
+        return self._functions(inducing, weights, precision), (repaired | also).sum(-1)
 
     def _functions(self, centres: Tensor, weights: Tensor, precision: Tensor) -> SquaredExponential:
         return SquaredExponential(centres, self.log_hyper[..., :-2], self.log_hyper[..., -2], weights, precision)

@@ -77,8 +77,8 @@ def minimise(objective: Objective, start: Float[Tensor, "B P"], iterations: int,
 def _answer(problems: list["_Problem"], objective: Objective, waiting: list, start: Tensor) -> None:
     numbers = [i for i, _ in waiting]
     values, gradients = objective(torch.from_numpy(np.stack([x for _, x in waiting])).to(start), numbers)
-    values, gradients = values.detach().cpu().double().numpy(), gradients.detach().cpu().double().numpy()
-    for i, value, gradient in zip(numbers, values, gradients, strict=True):
+    plain = (x.detach().cpu().double().numpy() for x in (values, gradients))
+    for i, value, gradient in zip(numbers, *plain, strict=True):
         problems[i].answers.put((float(value), gradient))
 
 
@@ -87,10 +87,11 @@ class _Problem(threading.Thread):
 
     COUNTS = ("iterations", "evaluations", "restarts", "repairs")
 
-    def __init__(self, number: int, x: np.ndarray, limit: int, max_restarts: int, requests) -> None:
+    def __init__(self, number: int, x: np.ndarray, limit: int, max_restarts: int, requests: queue.SimpleQueue) -> None:
         super().__init__(daemon=True)
         self.number, self.limit, self.max_restarts = number, limit, max_restarts
-        self.requests, self.answers = requests, queue.SimpleQueue()
+        self.requests = requests
+        self.answers: queue.SimpleQueue = queue.SimpleQueue()
         self.best, self.value, self.first = x, math.nan, math.nan
         self.iterations = self.evaluations = self.restarts = self.repairs = 0
         self.error: Exception | None = None

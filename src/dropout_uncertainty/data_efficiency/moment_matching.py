@@ -10,7 +10,7 @@ Formulas: Deisenroth, Efficient Reinforcement Learning using Gaussian Processes 
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -116,7 +116,8 @@ class SquaredExponential:
         """Per pair of outputs i <= j, the outer product of weights, less the precision where i = j [R, P, N, N]."""
         first, second = _pairs(self.weights.shape[1], self.weights.device)
         product = self.weights[:, first, :, None] * self.weights[:, second, None]
-        product[:, first == second] -= self.precision
+        if self.precision is not None:
+            product[:, first == second] -= self.precision
         return product
 
     def __call__(self, x: Float[Tensor, "R *K D"]) -> Float[Tensor, "R *K E"]:
@@ -128,8 +129,9 @@ class SquaredExponential:
         """Return the functions of some of the replicas."""
         if replicas == list(range(len(self.centres))):
             return self
-        own = (self.centres, self.log_length_scales, self.log_signal_std, self.weights, self.precision)
-        return SquaredExponential(*(None if a is None else a[replicas] for a in own))
+        own = (self.centres, self.log_length_scales, self.log_signal_std, self.weights)
+        precision = None if self.precision is None else self.precision[replicas]
+        return SquaredExponential(*(a[replicas] for a in own), precision=precision)
 
     def kernel(self, x: Float[Tensor, "R K D"]) -> Float[Tensor, "R E K N"]:
         """Return the covariance function between points and centres."""
@@ -197,7 +199,7 @@ class PosteriorMoments(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, mean: Tensor, cov: Tensor, f: SquaredExponential) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(ctx: Any, mean: Tensor, cov: Tensor, f: SquaredExponential) -> tuple[Tensor, Tensor, Tensor]:
         """Return mean [R, E], slope [R, D, E], second moment [R, E, E]; keep what their gradients need."""
         outputs = f.weights.shape[1]
         first, second = _pairs(outputs, mean.device)
@@ -225,7 +227,7 @@ class PosteriorMoments(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, g_mean: Tensor, g_slope: Tensor, g_square: Tensor) -> tuple[Tensor, Tensor, None]:
+    def backward(ctx: Any, g_mean: Tensor, g_slope: Tensor, g_square: Tensor) -> tuple[Tensor, Tensor, None]:
         """Contract the kept derivatives; the third derivative of g only along the slope's gradient."""
         d_mean, d_cov, slope, bend, pull, height, metric = ctx.saved_tensors
         first, second = _pairs(g_mean.shape[-1], g_mean.device)
@@ -283,14 +285,14 @@ class _SPDInverse(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, matrix: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(ctx: Any, matrix: Tensor) -> tuple[Tensor, Tensor]:
         inverse, log_det = _spd_inverse(matrix)
         ctx.save_for_backward(inverse)
         return inverse, log_det
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, g_inverse: Tensor, g_log_det: Tensor) -> Tensor:
+    def backward(ctx: Any, g_inverse: Tensor, g_log_det: Tensor) -> Tensor:
         (inverse,) = ctx.saved_tensors
         return g_log_det[..., None, None] * inverse - inverse @ g_inverse @ inverse
 
