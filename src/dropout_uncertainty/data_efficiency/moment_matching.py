@@ -129,9 +129,13 @@ class SquaredExponential:
         """Return the functions of some of the replicas."""
         if replicas == list(range(len(self.centres))):
             return self
-        own = (self.centres, self.log_length_scales, self.log_signal_std, self.weights)
-        precision = None if self.precision is None else self.precision[replicas]
-        return SquaredExponential(*(a[replicas] for a in own), precision=precision)
+        return SquaredExponential(
+            self.centres[replicas],
+            self.log_length_scales[replicas],
+            self.log_signal_std[replicas],
+            self.weights[replicas],
+            None if self.precision is None else self.precision[replicas],
+        )
 
     def kernel(self, x: Float[Tensor, "R K D"]) -> Float[Tensor, "R E K N"]:
         """Return the covariance function between points and centres."""

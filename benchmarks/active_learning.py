@@ -1,0 +1,111 @@
+"""Time of one acquisition round of section 5.2 by part, and of scoring beside baal and batchbald_redux.
+
+``python benchmarks/active_learning.py [--precision bfloat16]``. The peers are timed if they are installed (extra
+``bench``) and left out otherwise. CPU seconds of one thread; memory is the peak of the process.
+"""
+
+import argparse
+import resource
+import time
+import warnings
+
+import torch
+from torch import nn
+
+from dropout_uncertainty.active_learning.experiment import CONFIGS, CNNLearner
+from dropout_uncertainty.active_learning.network import BayesianCNN
+from dropout_uncertainty.records import provenance
+
+POINTS, DRAWS = 2_000, 100
+
+
+def seconds(work, repeats=3):
+    """Return the least CPU seconds of a few calls, after one to warm up."""
+    work()
+    times = []
+    for _ in range(repeats):
+        begin = time.process_time()
+        work()
+        times.append(time.process_time() - begin)
+    return min(times)
+
+
+def torch_network(consistent=nn.Dropout):
+    """Return the network of section 5.2 as plain layers, for the peers."""
+    return nn.Sequential(
+        nn.Conv2d(1, 32, 4), nn.ReLU(), nn.Conv2d(32, 32, 4), nn.ReLU(), nn.MaxPool2d(2), nn.Flatten(),
+        consistent(0.25), nn.Linear(3872, 128), nn.ReLU(), consistent(0.5), nn.Linear(128, 10),
+    )  # fmt: skip
+
+
+def with_baal(images):
+    from baal.bayesian.dropout import patch_module
+    from baal.modelwrapper import ModelWrapper
+
+    data = torch.utils.data.TensorDataset(images[:, None], torch.zeros(len(images)))
+    try:  # the signature changed between major versions
+        wrapper = ModelWrapper(patch_module(torch_network()), nn.CrossEntropyLoss())
+        options = {"batch_size": 128, "iterations": DRAWS, "use_cuda": False, "verbose": False}
+    except TypeError:
+        from baal.modelwrapper import TrainingArgs
+
+        wrapper = ModelWrapper(patch_module(torch_network()), TrainingArgs(batch_size=128, use_cuda=False))
+        return lambda: wrapper.predict_on_dataset(data, iterations=DRAWS)
+    return lambda: wrapper.predict_on_dataset(data, **options)
+
+
+def with_batchbald(images):
+    from batchbald_redux.consistent_mc_dropout import BayesianModule, ConsistentMCDropout
+
+    class Network(BayesianModule):
+        def __init__(self):
+            super().__init__()
+            self.net = torch_network(ConsistentMCDropout)
+
+        def mc_forward_impl(self, x):
+            return self.net(x).log_softmax(-1)
+
+    network = Network().eval()
+
+    def score():
+        with torch.no_grad():
+            return [network(part[:, None], DRAWS) for part in images.split(20)]
+
+    return score
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--precision", default="bfloat16")
+    precision = parser.parse_args().precision
+    torch.set_num_threads(1)
+    learner = CNNLearner(CONFIGS["ours/dropout/bald"], [100], precision=precision)
+    print(f"{provenance()['processor']}, one thread, {precision}")
+    cost = {}
+    for labels in (100, 200, 400):
+        cost[labels] = seconds(lambda n=labels: learner.fit(torch.arange(n)[None]), 1)
+        print(
+            f"training on {labels} labels, 50 epochs: {cost[labels]:.2f} s, {1e3 * cost[labels] / labels / 50:.3f} ms/image"
+        )
+    test = seconds(learner.test_error)
+    candidates = torch.arange(10_000, 10_000 + POINTS)[None]
+    ours = seconds(lambda: learner.log_probs(candidates, DRAWS))
+    print(f"test error on 10,000 images: {test:.2f} s")
+    print(f"scoring {POINTS} points x {DRAWS} draws: {ours:.2f} s")
+    run = sum(cost[400] / 400 * labels for labels in range(20, 1001, 10)) + 99 * test + 98 * ours
+    print(f"a run of 98 rounds, from these: {run / 60:.1f} min")
+    images = learner.images[candidates[0]]
+    for name, make in (("baal", with_baal), ("batchbald_redux", with_batchbald)):
+        try:
+            peer = seconds(make(images), 1)
+        except ImportError as error:
+            print(f"{name}: not installed ({error.name}); pip install -e '.[bench]'")
+            continue
+        print(f"{name}, float32: {peer:.1f} s, {peer / ours:.0f} times ours")
+    print(f"parameters: {sum(p.numel() for p in BayesianCNN([100]).parameters()):,}")
+    print(f"peak resident memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    main()
