@@ -84,9 +84,8 @@ def main():
     cost = {}
     for labels in (100, 200, 400):
         cost[labels] = seconds(lambda n=labels: learner.fit(torch.arange(n)[None]), 1)
-        print(
-            f"training on {labels} labels, 50 epochs: {cost[labels]:.2f} s, {1e3 * cost[labels] / labels / 50:.3f} ms/image"
-        )
+        each = 1e3 * cost[labels] / labels / 50
+        print(f"training on {labels} labels, 50 epochs: {cost[labels]:.2f} s, {each:.3f} ms an image")
     test = seconds(learner.test_error)
     candidates = torch.arange(10_000, 10_000 + POINTS)[None]
     ours = seconds(lambda: learner.log_probs(candidates, DRAWS))

@@ -23,8 +23,8 @@ __all__ = ["CartPoleSwingUp"]
 class CartPoleSwingUp(gymnasium.Env):
     """One trial of the plant per episode.
 
-    Observation: the noisy state (x [m], v [m/s], w [rad/s], theta [rad], 0 upright, not wrapped). Action: the force as a
-    share of the plant's limit, in [-1, 1]. Reward: 1 - cost of the true next state, in [0, 1]. The episode is truncated
+    Observation: the noisy state (x [m], v [m/s], w [rad/s], theta [rad], 0 upright, not wrapped). Action: the force as
+    a share of the plant's limit, in [-1, 1]. Reward: 1 - cost of the true next state, in [0, 1]. The episode is truncated
     after the plant's number of steps and never terminates before. `info["state"]` is the true state.
     """
 
@@ -57,10 +57,11 @@ class CartPoleSwingUp(gymnasium.Env):
         if share.shape != (1,) or not np.isfinite(share).all():
             raise UserError(f"expected an action of one finite number in [-1, 1], got {action!r}")
         force = self.plant.force_limit * torch.from_numpy(share)[0].clamp(-1, 1)
-        self._state = cartpole.step(self.plant, self._state, force)
+        state = cartpole.step(self.plant, self._state, force)
+        self._state = state
         self._steps += 1
-        reward = 1 - cost(self.plant, self._state).item()
-        return self._observe(), reward, False, self._steps >= self.plant.steps, {"state": self._state.numpy().copy()}
+        reward = 1 - cost(self.plant, state).item()
+        return self._observe(), reward, False, self._steps >= self.plant.steps, {"state": state.numpy().copy()}
 
     def _observe(self) -> np.ndarray:
         noise = self.plant.observation_noise * self.np_random.standard_normal(4)
