@@ -23,9 +23,9 @@ __all__ = ["CartPoleSwingUp"]
 class CartPoleSwingUp(gymnasium.Env):
     """One trial of the plant per episode.
 
-    Observation: the noisy state (x [m], v [m/s], w [rad/s], theta [rad], 0 upright, not wrapped). Action: the force as
-    a share of the plant's limit, in [-1, 1]. Reward: 1 - cost of the true next state, in [0, 1]. The episode is truncated
-    after the plant's number of steps and never terminates before. `info["state"]` is the true state.
+    Observation: the noisy state (x [m], v [m/s], w [rad/s], theta [rad], 0 upright, not wrapped). Action: the force
+    as a share of the plant's limit, in [-1, 1]. Reward: 1 - cost of the true next state, in [0, 1]. The episode is
+    truncated after the plant's number of steps and never terminates before. `info["state"]` is the true state.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's interface
@@ -41,9 +41,9 @@ class CartPoleSwingUp(gymnasium.Env):
         """Draw a start state; return its observation and the true state."""
         super().reset(seed=seed)
         mean = torch.tensor(self.plant.start_mean, dtype=torch.float64)
-        self._state = mean + self.plant.start_std * torch.from_numpy(self.np_random.standard_normal(4))
+        self._state = state = mean + self.plant.start_std * torch.from_numpy(self.np_random.standard_normal(4))
         self._steps = 0
-        return self._observe(), {"state": self._state.numpy().copy()}
+        return self._observe(state), {"state": state.numpy().copy()}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Apply a force for one control interval.
@@ -57,12 +57,10 @@ class CartPoleSwingUp(gymnasium.Env):
         if share.shape != (1,) or not np.isfinite(share).all():
             raise UserError(f"expected an action of one finite number in [-1, 1], got {action!r}")
         force = self.plant.force_limit * torch.from_numpy(share)[0].clamp(-1, 1)
-        state = cartpole.step(self.plant, self._state, force)
-        self._state = state
+        self._state = state = cartpole.step(self.plant, self._state, force)
         self._steps += 1
         reward = 1 - cost(self.plant, state).item()
-        return self._observe(), reward, False, self._steps >= self.plant.steps, {"state": state.numpy().copy()}
+        return self._observe(state), reward, False, self._steps >= self.plant.steps, {"state": state.numpy().copy()}
 
-    def _observe(self) -> np.ndarray:
-        noise = self.plant.observation_noise * self.np_random.standard_normal(4)
-        return self._state.numpy() + noise
+    def _observe(self, state: torch.Tensor) -> np.ndarray:
+        return state.numpy() + self.plant.observation_noise * self.np_random.standard_normal(4)
