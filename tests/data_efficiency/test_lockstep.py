@@ -23,7 +23,9 @@ def with_gradient(function):
 STARTS = torch.tensor([[-1.2, 1.0, 0.3], [0.0, 0.0, 0.0], [2.0, -1.0, 1.5]], dtype=torch.float64)
 
 
-def test_every_problem_takes_scipys_path():
+@pytest.mark.parametrize(("dense", "settings"), [(500, lockstep.DENSE), (0, lockstep.LIMITED)])
+def test_every_problem_takes_scipys_path(monkeypatch, dense, settings):
+    monkeypatch.setattr(lockstep, "DENSE_UP_TO", dense)
     together = lockstep.minimise(with_gradient(rosenbrock), STARTS, 30)
     for i, start in enumerate(STARTS):
 
@@ -31,8 +33,8 @@ def test_every_problem_takes_scipys_path():
             value, gradient = with_gradient(rosenbrock)(torch.from_numpy(x)[None], [0])
             return value.item(), gradient[0].numpy()
 
-        options = {"maxiter": 30, "maxcor": lockstep.MEMORY, "maxls": 30, "ftol": 1e-10, "gtol": 1e-6}
-        alone = optimize.minimize(scalar, start.numpy(), jac=True, method="L-BFGS-B", options=options)
+        options = {**settings["options"], "maxiter": 30}
+        alone = optimize.minimize(scalar, start.numpy(), jac=True, method=settings["method"], options=options)
         torch.testing.assert_close(together.x[i], torch.from_numpy(alone.x), rtol=1e-12, atol=1e-12)
         assert together.iterations[i] == alone.nit
         assert together.evaluations[i] == alone.nfev

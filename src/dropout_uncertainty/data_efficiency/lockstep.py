@@ -1,4 +1,4 @@
-"""Many small minimisations at once: SciPy's L-BFGS-B per problem, their functions evaluated together as one batch.
+"""Many small minimisations at once: SciPy's BFGS per problem, their functions evaluated together as one batch.
 
 Each problem runs SciPy's own optimiser in a thread that does nothing but wait for function values, so all
 line searches advance in step and the batch shrinks as problems finish. One problem takes the same path alone
@@ -19,9 +19,11 @@ from torch import Tensor
 
 # Added to the first value where a function cannot be evaluated: high enough for a line search to turn back.
 BARRIER = 1e6
-# Pairs that L-BFGS keeps: enough to act as BFGS over the few hundred iterations used here.
-MEMORY = 50
-LINE_SEARCH_EVALUATIONS = 30  # as in the original (pilco-matlab, scenarios/cartPole/settings_cp.m)
+# BFGS with a full matrix up to so many variables, L-BFGS-B above. On the original's third model and first controller
+# (65 variables), 150 line searches of BFGS take the predicted cost from 34.1 to 29.1, those of L-BFGS-B to 32.7.
+DENSE_UP_TO = 500
+DENSE = {"method": "BFGS", "options": {"gtol": 1e-4}}
+LIMITED = {"method": "L-BFGS-B", "options": {"maxcor": 20, "maxls": 30, "maxfun": 10**6, "ftol": 1e-10, "gtol": 1e-4}}
 
 Objective = Callable[[Float[Tensor, "A P"], list[int]], tuple[Float[Tensor, " A"], Float[Tensor, "A P"]]]
 
@@ -34,7 +36,7 @@ class Minimum:
     value: Float[Tensor, " B"]  # NaN where the function could not be evaluated at the start
     iterations: Int[Tensor, " B"]  # line searches
     evaluations: Int[Tensor, " B"]
-    restarts: Int[Tensor, " B"]  # failed line searches, after each of which L-BFGS began anew from the best point
+    restarts: Int[Tensor, " B"]  # failed line searches, after each of which the search began anew from the best point
     repairs: Int[Tensor, " B"]  # values that were not finite, replaced by a barrier with slope 0
 
 
@@ -104,22 +106,17 @@ class _Problem(threading.Thread):
         self.requests.put((self.number, None))
 
     def _minimise(self) -> None:
+        settings = DENSE if len(self.best) <= DENSE_UP_TO else LIMITED
         while self.iterations < self.limit:
-            options = {
-                "maxiter": self.limit - self.iterations,
-                "maxfun": 20 * self.limit,
-                "maxcor": MEMORY,
-                "maxls": LINE_SEARCH_EVALUATIONS,
-                "ftol": 1e-10,
-                "gtol": 1e-6,
-            }
-            outcome = optimize.minimize(self._ask, self.best, jac=True, method="L-BFGS-B", options=options)
+            options = {**settings["options"], "maxiter": self.limit - self.iterations}
+            before = self.value
+            outcome = optimize.minimize(self._ask, self.best, jac=True, method=settings["method"], options=options)
             self.iterations += outcome.nit
-            # SciPy calls some failed line searches converged; they end above the best point
-            if not ("ABNORMAL" in outcome.message or outcome.fun > self.value) or math.isnan(self.value):
+            # status 2: a failed line search. L-BFGS-B calls some of its own converged; they end above the best point
+            if math.isnan(self.value) or (outcome.status != 2 and outcome.fun <= self.value):
                 return
             self.restarts += 1
-            if self.restarts > self.max_restarts or outcome.nit == 0:
+            if self.restarts > self.max_restarts or self.value >= before:
                 return
 
     def _ask(self, x: np.ndarray) -> tuple[float, np.ndarray]:
