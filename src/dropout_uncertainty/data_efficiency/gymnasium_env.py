@@ -1,6 +1,6 @@
 """The cart-pole swing-up as a Gymnasium environment, for learners from elsewhere; needs the extra `gym`."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,7 +28,7 @@ class CartPoleSwingUp(gymnasium.Env):
     truncated after the plant's number of steps and never terminates before. `info["state"]` is the true state.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's interface
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's interface
 
     def __init__(self, preset: str = "paper") -> None:
         self.plant = cartpole.preset(preset)

@@ -10,6 +10,7 @@ import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,8 +23,8 @@ BARRIER = 1e6
 # BFGS with a full matrix up to so many variables, L-BFGS-B above. On the original's third model and first controller
 # (65 variables), 150 line searches of BFGS take the predicted cost from 34.1 to 29.1, those of L-BFGS-B to 32.7.
 DENSE_UP_TO = 500
-DENSE = {"method": "BFGS", "options": {"gtol": 1e-4}}
-LIMITED = {"method": "L-BFGS-B", "options": {"maxcor": 20, "maxls": 30, "maxfun": 10**6, "ftol": 1e-10, "gtol": 1e-4}}
+DENSE: dict[str, Any] = {"method": "BFGS", "options": {"gtol": 1e-4}}
+LIMITED: dict[str, Any] = {"method": "L-BFGS-B", "options": {"maxcor": 20, "maxls": 30, "maxfun": 10**6, "ftol": 1e-10, "gtol": 1e-4}}
 
 Objective = Callable[[Float[Tensor, "A P"], list[int]], tuple[Float[Tensor, " A"], Float[Tensor, "A P"]]]
 
