@@ -24,7 +24,10 @@ BARRIER = 1e6
 # (65 variables), 150 line searches of BFGS take the predicted cost from 34.1 to 29.1, those of L-BFGS-B to 32.7.
 DENSE_UP_TO = 500
 DENSE: dict[str, Any] = {"method": "BFGS", "options": {"gtol": 1e-4}}
-LIMITED: dict[str, Any] = {"method": "L-BFGS-B", "options": {"maxcor": 20, "maxls": 30, "maxfun": 10**6, "ftol": 1e-10, "gtol": 1e-4}}
+LIMITED: dict[str, Any] = {
+    "method": "L-BFGS-B",
+    "options": {"maxcor": 20, "maxls": 30, "maxfun": 10**6, "ftol": 1e-10, "gtol": 1e-4},
+}
 
 Objective = Callable[[Float[Tensor, "A P"], list[int]], tuple[Float[Tensor, " A"], Float[Tensor, "A P"]]]
 

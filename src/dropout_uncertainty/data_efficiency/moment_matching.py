@@ -43,7 +43,7 @@ class Moments(NamedTuple):
 
 def linear_moments(x: Gaussian, matrix: Float[Tensor, "... D E"], offset: Tensor | float = 0.0) -> Moments:
     """Return the moments of x @ matrix + offset."""
-    mean = (x.mean[..., None, :] @ matrix)[..., 0, :] + offset
+    mean = (x.mean @ matrix if matrix.ndim == 2 else (x.mean[..., None, :] @ matrix)[..., 0, :]) + offset
     return Moments(mean, matrix.mT @ x.cov @ matrix, matrix)
 
 
@@ -58,29 +58,34 @@ def sine_moments(x: Gaussian) -> Moments:
     return Moments(decay * x.mean.sin(), cov, torch.diag_embed(decay * x.mean.cos()))
 
 
-def feature_moments(state: Gaussian) -> Moments:
-    """Return the moments of (x, v, w, sin theta, cos theta) of a Gaussian state (x, v, w, theta)."""
-    twice, shift, keep, place, last = _feature_constants(state.mean.dtype, state.mean.device)
-    # (x, v, w, theta, theta + pi / 2), since cos theta = sin(theta + pi / 2)
-    angles = linear_moments(Gaussian(state.mean[..., 3:], state.cov[..., 3:, 3:]), twice, shift)
-    trig = sine_moments(angles.out)
-    turn = (twice @ trig.slope) @ place  # d(features) / d theta [..., 1, 5]
-    slope = keep + last * turn
-    mean = torch.cat((state.mean[..., :3], trig.mean), -1)
-    # cov(features) is slope' cov slope but for the block of sine and cosine, which has more than its linear
-    # part
-    linear = slope.mT @ state.cov @ slope
-    extra = trig.cov - linear[..., 3:, 3:]
-    return Moments(mean, linear + place.mT @ extra @ place, slope)
+def appended(x: Gaussian, y: Moments, keep: Float[Tensor, "D J"], place: Float[Tensor, "E J"]) -> Moments:
+    """Return the joint moments of x @ keep + y @ place, where y is a function of x: usually x with y behind it."""
+    slope = keep + y.slope @ place
+    own = y.cov - y.slope.mT @ x.cov @ y.slope  # what y has beyond its linear part
+    return Moments(x.mean @ keep + y.mean @ place, slope.mT @ x.cov @ slope + place.mT @ own @ place, slope)
 
 
 @cache
-def _feature_constants(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-    identity = torch.eye(5, dtype=dtype, device=device)
-    twice = torch.ones(1, 2, dtype=dtype, device=device)
-    shift = torch.tensor([0.0, torch.pi / 2], dtype=dtype, device=device)
-    keep = torch.cat((identity[:3], torch.zeros_like(identity[:1])))
-    return twice, shift, keep, identity[3:], identity.new_tensor([[0.0], [0], [0], [1]])
+def behind(kept: int, dim: int, added: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Return the maps of `appended` that keep the first of x's dim entries and put the added ones behind them."""
+    identity = torch.eye(kept + added, dtype=dtype, device=device)
+    nothing = identity.new_zeros(dim - kept, kept + added)
+    return torch.cat((identity[:kept], nothing)), identity[kept:]
+
+
+def feature_moments(state: Gaussian) -> Moments:
+    """Return the moments of (x, v, w, sin theta, cos theta) of a Gaussian state (x, v, w, theta)."""
+    keep, place = behind(3, 4, 2, state.mean.dtype, state.mean.device)
+    twice, shift = _angle_constants(state.mean.dtype, state.mean.device)
+    angles = linear_moments(state, twice, shift)  # theta and theta + pi / 2, since cos theta = sin(theta + pi / 2)
+    trig = sine_moments(angles.out)
+    return appended(state, Moments(trig.mean, trig.cov, twice @ trig.slope), keep, place)
+
+
+@cache
+def _angle_constants(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    twice = torch.tensor([[0.0, 0], [0, 0], [0, 0], [1, 1]], dtype=dtype, device=device)
+    return twice, torch.tensor([0.0, torch.pi / 2], dtype=dtype, device=device)
 
 
 @dataclass(frozen=True)
@@ -183,11 +188,11 @@ def _second_moment(f: SquaredExponential, z: Tensor, cov: Tensor) -> Tensor:
     log_height = 2 * f.log_signal_std[..., None] - (scaled * z[:, None]).sum(-1) / 2
     root = (inverse_square[:, :, None] + inverse_square[:, None]).sqrt()  # [R, E, E, D]
     inverse, log_det = _SPDInverse.apply(_system(cov, root))
-    gain = (inverse * (root[..., None, :] / root[..., :, None])) @ cov[:, None, None]  # (I + cov root^2)^-1 cov
+    identity = torch.eye(cov.shape[-1], dtype=cov.dtype, device=cov.device)
+    gain = (identity - inverse) / (root[..., :, None] * root[..., None, :])  # (I + cov root^2)^-1 cov
     left = scaled[:, :, None] @ gain  # [R, E, E, N, D]
-    own = log_height[:, :, None] + (left * scaled[:, :, None]).sum(-1) / 2
-    other = log_height[:, None] + ((scaled[:, None] @ gain) * scaled[:, None]).sum(-1) / 2
-    exponent = left @ scaled[:, None].mT + (own - log_det[..., None] / 2)[..., :, None] + other[..., None, :]
+    own = log_height[:, :, None] + (left * scaled[:, :, None]).sum(-1) / 2 - log_det[..., None] / 4
+    exponent = left @ scaled[:, None].mT + own[..., :, None] + own.transpose(1, 2)[..., None, :]
     return ((f.weights[:, :, None, None] @ exponent.exp()) @ f.weights[:, None, ..., None])[..., 0, 0]
 
 

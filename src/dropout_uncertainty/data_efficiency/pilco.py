@@ -16,7 +16,13 @@ from dropout_uncertainty.data_efficiency.cartpole import FEATURE_NAMES, CartPole
 from dropout_uncertainty.data_efficiency.controllers import Controller, RBFController, force_moments
 from dropout_uncertainty.data_efficiency.cost import cost_moments
 from dropout_uncertainty.data_efficiency.lockstep import Minimum, minimise
-from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, SquaredExponential, feature_moments
+from dropout_uncertainty.data_efficiency.moment_matching import (
+    Gaussian,
+    SquaredExponential,
+    appended,
+    behind,
+    feature_moments,
+)
 
 DIM = len(FEATURE_NAMES)
 
@@ -38,11 +44,9 @@ def propagate(model: SquaredExponential, controller: Controller, limit: float, s
     """
     seen = feature_moments(state)
     force = force_moments(controller, limit, seen.out)
-    cross = seen.cov @ force.slope
-    joint = torch.cat((torch.cat((seen.cov, cross), -1), torch.cat((cross.mT, force.cov), -1)), -2)
-    change = model.moments(Gaussian(torch.cat((seen.mean, force.mean), -1), joint))
-    slope = torch.cat((seen.slope, seen.slope @ force.slope), -1)  # of features and force in the state
-    shared = state.cov @ slope @ change.slope
+    joint = appended(seen.out, force, *behind(DIM, DIM, 1, seen.mean.dtype, seen.mean.device))
+    change = model.moments(joint.out)
+    shared = state.cov @ seen.slope @ joint.slope @ change.slope
     return Gaussian(state.mean + change.mean, state.cov + change.cov + shared + shared.mT)
 
 
