@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from dropout_uncertainty.active_learning import mnist
+
 torch.set_num_threads(1)
 
 
@@ -14,3 +16,12 @@ def global_random_state_untouched():
     yield
     assert torch.equal(before[0], torch.get_rng_state()), "the test moved torch's global random state"
     assert np.array_equal(before[1], np.random.get_state()[1]), "the test moved NumPy's global random state"  # noqa: NPY002
+
+
+@pytest.fixture(scope="session")
+def digits():
+    """Return the first 2,000 training and 500 test images of MNIST."""
+    whole = mnist.load()
+    return mnist.Mnist(
+        whole.train_images[:2000], whole.train_labels[:2000], whole.test_images[:500], whole.test_labels[:500]
+    )
