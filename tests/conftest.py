@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from dropout_uncertainty.active_learning import mnist
-
 torch.set_num_threads(1)
 
 
@@ -21,6 +19,8 @@ def global_random_state_untouched():
 @pytest.fixture(scope="session")
 def digits():
     """Return the first 2,000 training and 500 test images of MNIST."""
+    from dropout_uncertainty.active_learning import mnist  # late, so that its shapes are checked
+
     whole = mnist.load()
     return mnist.Mnist(
         whole.train_images[:2000], whole.train_labels[:2000], whole.test_images[:500], whole.test_labels[:500]
