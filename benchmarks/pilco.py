@@ -20,7 +20,8 @@ import torch
 from dropout_uncertainty.data_efficiency import pilco
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB
 from dropout_uncertainty.data_efficiency.gaussian_process import GaussianProcess, initial_hyper
-from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, SquaredExponential
+from dropout_uncertainty.data_efficiency.moment_matching import Gaussian
+from dropout_uncertainty.data_efficiency.squared_exponential import SquaredExponential
 from dropout_uncertainty.rng import generator
 
 STORED = Path(__file__).parents[1] / "records" / "original" / "pilco_octave_bench.csv"

@@ -7,13 +7,8 @@ import torch
 
 from dropout_uncertainty.data_efficiency.cartpole import features
 from dropout_uncertainty.data_efficiency.controllers import squash, squash_moments
-from dropout_uncertainty.data_efficiency.moment_matching import (
-    Gaussian,
-    PosteriorMoments,
-    SquaredExponential,
-    feature_moments,
-    sine_moments,
-)
+from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, feature_moments, sine_moments
+from dropout_uncertainty.data_efficiency.squared_exponential import PosteriorMoments, SquaredExponential
 from dropout_uncertainty.rng import generator
 
 
@@ -148,7 +143,7 @@ def test_fused_second_moment_equals_the_plain_formula_and_has_its_gradient(monke
     inputs = (x.mean.clone().requires_grad_(), x.cov.clone().requires_grad_())
     assert torch.autograd.gradcheck(lambda m, s: posterior.moments(Gaussian(m, symmetric(s))), inputs)
     whole = PosteriorMoments.apply(*x, posterior)
-    monkeypatch.setattr("dropout_uncertainty.data_efficiency.moment_matching.BLOCK", 600)
+    monkeypatch.setattr("dropout_uncertainty.data_efficiency.squared_exponential.BLOCK", 600)
     for got, expected in zip(PosteriorMoments.apply(*x, posterior), whole, strict=True):
         torch.testing.assert_close(got, expected, rtol=1e-12, atol=1e-12)
 

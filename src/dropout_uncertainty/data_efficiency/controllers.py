@@ -14,13 +14,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.cartpole import CartPole, features
-from dropout_uncertainty.data_efficiency.moment_matching import (
-    Gaussian,
-    Moments,
+from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, Moments, linear_moments, sine_moments
+from dropout_uncertainty.data_efficiency.squared_exponential import (
     SquaredExponential,
-    linear_moments,
     nan_cholesky,
-    sine_moments,
     squared_exponential,
 )
 

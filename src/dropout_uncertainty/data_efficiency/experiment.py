@@ -14,14 +14,13 @@ from dropout_uncertainty.data_efficiency import cartpole, controllers, pilco
 from dropout_uncertainty.data_efficiency import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER, CartPole
 from dropout_uncertainty.data_efficiency.cost import cost, solved
-from dropout_uncertainty.data_efficiency.moment_matching import SquaredExponential
+from dropout_uncertainty.data_efficiency.squared_exponential import SquaredExponential
 from dropout_uncertainty.runs import Unit
 
 __all__ = ["CONFIGS", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "units"]
 
 EXPERIMENT = "data_efficiency"
-# : Repetitions per unit. Time per repetition falls with the batch while there are few data, and is level from
-# about 10 on.
+#: Repetitions per unit: time per repetition falls with the batch while data are few, and is level from about 10.
 GROUP = 10
 
 

@@ -16,7 +16,7 @@ from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.lockstep import Minimum, minimise
-from dropout_uncertainty.data_efficiency.moment_matching import (
+from dropout_uncertainty.data_efficiency.squared_exponential import (
     SquaredExponential,
     nan_cholesky,
     squared_exponential,

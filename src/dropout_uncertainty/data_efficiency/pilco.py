@@ -16,13 +16,8 @@ from dropout_uncertainty.data_efficiency.cartpole import FEATURE_NAMES, CartPole
 from dropout_uncertainty.data_efficiency.controllers import Controller, RBFController, force_moments
 from dropout_uncertainty.data_efficiency.cost import cost_moments
 from dropout_uncertainty.data_efficiency.lockstep import Minimum, minimise
-from dropout_uncertainty.data_efficiency.moment_matching import (
-    Gaussian,
-    SquaredExponential,
-    appended,
-    behind,
-    feature_moments,
-)
+from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, appended, behind, feature_moments
+from dropout_uncertainty.data_efficiency.squared_exponential import SquaredExponential
 
 DIM = len(FEATURE_NAMES)
 
@@ -103,10 +98,11 @@ class PolicyShape:
         self, plant: CartPole, target_std: float, log_length_scales: tuple[float, ...], generator: Generator
     ) -> Float[Tensor, " P"]:
         """Return a random controller: centres from the start distribution of the features, small random targets."""
-        start = feature_moments(start_distribution(plant, 1).__class__(*(a[0] for a in start_distribution(plant, 1))))
-        factor = torch.linalg.cholesky(start.cov + 1e-12 * torch.eye(self.dim, dtype=torch.float64))
+        start = feature_moments(start_distribution(plant, 1))
+        jitter = 1e-12 * torch.eye(self.dim, dtype=torch.float64)  # the cosine hardly varies at the start
+        factor = torch.linalg.cholesky(start.cov[0] + jitter)
         noise = torch.randn(self.basis, self.dim, generator=generator, dtype=torch.float64)
-        centres = start.mean + noise @ factor.mT
+        centres = start.mean[0] + noise @ factor.mT
         targets = target_std * torch.randn(self.basis, generator=generator, dtype=torch.float64)
         scales = torch.tensor(log_length_scales, dtype=torch.float64)
         return torch.cat((scales, centres.reshape(-1), targets))
