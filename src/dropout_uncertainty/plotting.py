@@ -14,6 +14,9 @@ from dropout_uncertainty.stats import t_interval
 
 __all__ = ["COLOURS", "band", "style"]
 
+#: With fewer repetitions than this an interval around a curve says little, and may reach below zero.
+FEW = 5
+
 #: One colour per method, from the colour-blind safe palettes of Okabe and Ito (2008) and Tol (2021).
 COLOURS: dict[str, str] = {
     "random": "#6c6c6c",
@@ -62,8 +65,10 @@ def use_style() -> None:
 
 
 def band(ax: Axes, x: np.ndarray, curves: Float[np.ndarray, "R T"], *, colour: str, label: str, **line: Any) -> None:
-    """Draw the mean of R curves and the 95 % t interval around it; with a single curve, only the curve."""
+    """Draw the mean of R curves with its 95 % t interval; with fewer than five, the curves themselves, thin."""
     ax.plot(x, curves.mean(0), color=colour, label=label, **line)
-    if len(curves) > 1:
+    if len(curves) < FEW:
+        ax.plot(x, curves.T, color=colour, linewidth=0.7, alpha=0.6)
+    else:
         limits = np.array([t_interval(column)[1:3] for column in curves.T])
         ax.fill_between(x, limits[:, 0], limits[:, 1], color=colour, alpha=0.18, linewidth=0)
