@@ -104,7 +104,7 @@ def check_device(name: str) -> str:
     return "cuda" if name != "cpu" and torch.cuda.is_available() else "cpu"
 
 
-def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False, position: int = 0) -> Record:
+def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False) -> Record:
     """Return the unit's record, computing what is missing of it.
 
     Raises:
@@ -121,7 +121,7 @@ def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False, pos
         with FileLock(partial.with_suffix(".lock"), timeout=0):
             if path.exists():
                 return _existing(path, unit)
-            return _compute(unit, path, partial, progress, position)
+            return _compute(unit, path, partial, progress)
     except Timeout:
         raise RunError(f"another process is computing {unit.label}: wait for it, or stop it") from None
     except OSError as error:
@@ -169,7 +169,7 @@ def _digest(unit: Unit) -> str:
     return hashlib.sha256(repr(sorted(unit.identity.items())).encode()).hexdigest()[:12]
 
 
-def _compute(unit: Unit, path: Path, partial: Path, progress: bool, position: int) -> Record:
+def _compute(unit: Unit, path: Path, partial: Path, progress: bool) -> Record:
     process = unit.start(unit.config, unit.seeds, device=unit.device, precision=unit.precision)
     clock = {"wall_s": 0.0, "cpu_s": 0.0, "interruptions": 0}
     saved = _load(partial)
@@ -177,9 +177,7 @@ def _compute(unit: Unit, path: Path, partial: Path, progress: bool, position: in
         process.restore(saved["state"])
         clock = {**saved["clock"], "interruptions": saved["clock"]["interruptions"] + 1}
     where = records.provenance(unit.device)
-    with tqdm(
-        total=process.total, initial=process.done, desc=unit.label, disable=not progress, position=position
-    ) as bar:
+    with tqdm(total=process.total, initial=process.done, desc=unit.label, disable=not progress) as bar:
         last, saving = time.monotonic(), 0.0
         while process.done < process.total:
             with _timed(clock):
