@@ -190,7 +190,9 @@ def _compute(unit: Unit, path: Path, partial: Path, progress: bool) -> Record:
                 _save(partial, {"state": process.state(), "clock": clock})
                 last = time.monotonic()
                 saving = last - begin
-    header = {**unit.identity, "config": records.config_dict(unit.config), "provenance": {**where, **clock}}
+    timings = getattr(process, "timings", dict)()  # optional: computing time by part, as JSON data
+    origin = {"provenance": {**where, **clock, **timings}}
+    header = {**unit.identity, "config": records.config_dict(unit.config), **origin}
     record = records.write(path, process.result(), header)
     partial.unlink(missing_ok=True)
     return record

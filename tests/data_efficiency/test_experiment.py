@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from dropout_uncertainty import runs
 from dropout_uncertainty.data_efficiency import experiment, pilco
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER, features, step
 from dropout_uncertainty.data_efficiency.controllers import force
@@ -108,6 +109,16 @@ def test_units_cut_seeds_into_batches_and_presets_differ_in_the_plant_only():
     assert [len(unit.seeds) for unit in units] == [10, 10, 5]
     assert units[0].label == "data_efficiency/pilco-paper/100-109"
     assert replace(experiment.PILCO_PAPER, plant=MATLAB) == experiment.PILCO_MATLAB
+
+
+def test_record_says_where_the_computing_time_went(tmp_path):
+    unit = runs.Unit("data_efficiency", "short", experiment.start, SHORT, (100, 101), "cpu", "float64")
+    origin = runs.run_unit(unit, tmp_path).header["provenance"]
+    parts = [origin[f"{name}_cpu_s"] for name in ("model", "policy", "trial")]
+    assert [len(part) for part in parts] == [SHORT.trials + 1] * 3
+    assert parts[0][0] == parts[1][0] == 0  # the random trial needs neither model nor controller
+    assert min(parts[1][1:]) > 0
+    assert sum(map(sum, parts)) <= origin["cpu_s"] + 0.1
 
 
 def test_bad_input_is_named():

@@ -1,10 +1,10 @@
 """The cart-pole of thesis section 5.4: exact equations of motion in SI units under a zero-order hold.
 
 State, last axis: cart position x [m], cart velocity v [m/s], pole angular velocity w [rad/s], pole angle
-theta [rad]. theta = 0 is upright and pi hangs, counter-clockwise positive, so the tip stands at (x - l sin
-theta, l cos theta); the angle is not wrapped. The pole is a uniform rod on a frictionless pivot, the cart has
-viscous friction with the ground. Everything is batched over leading axes (replicas R first, then particles K)
-and differentiable.
+theta [rad]. theta = 0 is upright and pi hangs, counter-clockwise positive, so the tip stands at
+``(x - l sin theta, l cos theta)``; the angle is not wrapped. The pole is a uniform rod on a frictionless
+pivot, the cart has viscous friction with the ground. Everything is batched over leading axes (replicas R
+first, then particles K) and differentiable.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ FEATURE_NAMES = ("x", "v", "w", "sin theta", "cos theta")
 
 @dataclass(frozen=True)
 class CartPole:
-    """A plant: constants, length of a trial, start distribution. Named ones are in `PRESETS`."""
+    """A plant: constants, length of a trial, start distribution. Named ones are in ``PRESETS``."""
 
     pole_length: float  # full length l of the rod [m]
     steps: int  # control steps T of one trial
@@ -151,7 +151,7 @@ def rollout(
     act: Callable[[Tensor, int], Tensor],
     noise: Tensor,
 ) -> Rollout:
-    """Execute one trial of `plant.steps` steps.
+    """Execute one trial of ``plant.steps`` steps.
 
     Args:
         plant: the physical constants.

@@ -1,7 +1,7 @@
 """Controllers: features of the observed state in, a squashed force out; for points and Gaussians.
 
 A controller is a value, a frozen dataclass of tensors with the replica axis R first, so that an optimiser can
-build one from any vector of parameters. Calling it gives the preliminary output, before the squash; `force`
+build one from any vector of parameters. Calling it gives the preliminary output, before the squash; ``force``
 applies both.
 """
 
@@ -56,7 +56,7 @@ class RBFController:
         log_length_scales: Float[Tensor, "R F D"],
         targets: Float[Tensor, "R F N"],
     ) -> "RBFController":
-        """Return the posterior mean of a process that saw `targets` at `centres`, as PILCO does."""
+        """Return the posterior mean of a process that saw ``targets`` at ``centres``, as PILCO does."""
         noise = NOISE_STD**2 * torch.eye(centres.shape[-2], dtype=centres.dtype, device=centres.device)
         gram = squared_exponential(centres, centres, log_length_scales, torch.zeros_like(targets[..., 0])) + noise
         weights = torch.cholesky_solve(targets[..., None], nan_cholesky(gram))[..., 0]
@@ -79,7 +79,7 @@ class RBFController:
 
 @dataclass(frozen=True)
 class LinearController:
-    """x @ gain + bias."""
+    """A linear controller: ``x @ gain + bias``."""
 
     gain: Float[Tensor, "R D F"]
     bias: Float[Tensor, "R F"]
@@ -95,12 +95,12 @@ class LinearController:
 
 
 def squash(u: Float[Tensor, "*batch"], limit: float) -> Float[Tensor, "*batch"]:
-    """Return limit (9 sin u + sin 3u) / 8, which is within [-limit, limit] and flat at its extremes."""
+    """Return ``limit (9 sin u + sin 3u) / 8``, which is within [-limit, limit] and flat at its extremes."""
     return limit / 8 * (9 * u.sin() + (3 * u).sin())
 
 
 def squash_moments(u: Gaussian, limit: float | Tensor) -> Moments:
-    """Return the moments of `squash`, element by element, for a Gaussian u and one limit or one per element."""
+    """Return the moments of ``squash``, element by element, for a Gaussian u and one limit or one per element."""
     _, spread, mix = _squash_constants(u.mean.shape[-1], u.mean.dtype, u.mean.device)
     sines = sine_moments(linear_moments(u, spread).out)
     squashed = linear_moments(sines.out, limit * mix)

@@ -1,6 +1,6 @@
 """The saturating cost of the pole's tip for a point or a Gaussian state, and what "solved" means.
 
-cost = 1 - exp(-d^2 / (2 width^2)), where d [m] is the distance of the tip from its place when the pole stands
+``cost = 1 - exp(-d^2 / (2 width^2))``, where d [m] is the distance of the tip from its place when the pole stands
 upright over the middle of the track (the black cross of thesis figure 5.6). It is 0 there and 1 far away. The
 cost is flat far from the goal; only the spread of an uncertain state gives it a slope there, which is why its
 expectation is what PILCO minimises.
@@ -37,7 +37,7 @@ def cost_moments(plant: CartPole, state: Gaussian) -> tuple[Float[Tensor, "*batc
 def saturating_moments(
     z: Gaussian, target: Tensor, factor: Tensor
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch D"]]:
-    """Return mean, variance and slope in z of 1 - exp(-|factor (z - target)|^2 / 2) for a Gaussian z.
+    """Return mean, variance and slope in z of ``1 - exp(-|factor (z - target)|^2 / 2)`` for a Gaussian z.
 
     Args:
         z: the Gaussian of D dimensions.

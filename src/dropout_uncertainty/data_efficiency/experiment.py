@@ -200,7 +200,7 @@ class PilcoLearning:
         return {name: getattr(self, name) for name in kept}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from `state()` of a process made with the same arguments."""
+        """Continue from ``state()`` of a process made with the same arguments."""
         for name, value in state.items():
             setattr(self, name, value)
 

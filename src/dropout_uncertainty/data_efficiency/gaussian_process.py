@@ -95,7 +95,7 @@ def negative_log_likelihood(
     """Return the negative log marginal likelihood [nat] of B single-output processes and its gradient.
 
     NaN where the covariance cannot be factorised. No array of D x N x N numbers is made: the sum over n, m of
-    W_nm (x_n - x_m)^2 is 2 sum_n r_n x_n^2 - 2 x' W x with r the row sums of the symmetric W.
+    ``W_nm (x_n - x_m)^2`` is ``2 sum_n r_n x_n^2 - 2 x' W x`` with r the row sums of the symmetric W.
     """
     gram = _gram(inputs, log_hyper[:, None])[:, 0]
     noise = torch.exp(2 * log_hyper[:, -1])
@@ -137,7 +137,7 @@ def fit_hyper(
     start: Float[Tensor, "R E H"],
     iterations: int,
 ) -> tuple[Float[Tensor, "R E H"], Minimum]:
-    """Return the hyper-parameters of smallest penalised negative log likelihood found from `start`."""
+    """Return the hyper-parameters of smallest penalised negative log likelihood found from ``start``."""
     outputs = targets.shape[1]
     input_std = inputs.std(1)
 
@@ -187,7 +187,7 @@ def initial_inducing(inputs: Float[Tensor, "R N D"], count: int, seeds: list[int
 def fit_inducing(
     model: GaussianProcess, start: Float[Tensor, "R M D"], iterations: int
 ) -> tuple[Float[Tensor, "R M D"], Minimum]:
-    """Return the inducing inputs of smallest FITC negative log likelihood found from `start`."""
+    """Return the inducing inputs of smallest FITC negative log likelihood found from ``start``."""
 
     def objective(x: Tensor, numbers: list[int]) -> tuple[Tensor, Tensor]:
         part = GaussianProcess(model.inputs[numbers], model.targets[numbers], model.log_hyper[numbers])

@@ -1,4 +1,4 @@
-"""The cart-pole swing-up as a Gymnasium environment, for learners from elsewhere; needs the extra `gym`."""
+"""The cart-pole swing-up as a Gymnasium environment, for learners from elsewhere; needs the extra ``gym``."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ class CartPoleSwingUp(gymnasium.Env):
 
     Observation: the noisy state (x [m], v [m/s], w [rad/s], theta [rad], 0 upright, not wrapped). Action: the force
     as a share of the plant's limit, in [-1, 1]. Reward: 1 - cost of the true next state, in [0, 1]. The episode is
-    truncated after the plant's number of steps and never terminates before. `info["state"]` is the true state.
+    truncated after the plant's number of steps and never terminates before. ``info["state"]`` is the true state.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's interface
@@ -49,7 +49,7 @@ class CartPoleSwingUp(gymnasium.Env):
         """Apply a force for one control interval.
 
         Raises:
-            UserError: before the first `reset`, or if the action is not one finite number.
+            UserError: before the first ``reset``, or if the action is not one finite number.
         """
         if self._state is None:
             raise UserError("the environment has no state yet: call reset first")

@@ -45,7 +45,7 @@ class Minimum:
 
 
 def minimise(objective: Objective, start: Float[Tensor, "B P"], iterations: int, max_restarts: int = 2) -> Minimum:
-    """Minimise B functions of P variables, at most `iterations` line searches each.
+    """Minimise B functions of P variables, at most ``iterations`` line searches each.
 
     Args:
         objective: returns values [A] and gradients [A, P] of the A problems whose numbers it is given as a
@@ -89,7 +89,7 @@ def _answer(problems: list["_Problem"], objective: Objective, waiting: list, sta
 
 
 class _Problem(threading.Thread):
-    """One problem's optimiser; asks for values through `requests` and waits for `answers`."""
+    """One problem's optimiser; asks for values through ``requests`` and waits for ``answers``."""
 
     COUNTS = ("iterations", "evaluations", "restarts", "repairs")
 

@@ -1,8 +1,8 @@
 """Gaussians through nonlinear functions: exact moments of sines and features, and how moments of a chain combine.
 
-Every function takes a `Gaussian` and returns `Moments` of its output: mean, covariance and *slope*, the
-expected Jacobian E[d output / d input]. For a Gaussian input of covariance S the covariance of input and
-output is S @ slope (Stein's lemma), which holds for S = 0 too, and slopes of a chain of functions multiply.
+Every function takes a ``Gaussian`` and returns ``Moments`` of its output: mean, covariance and *slope*, the
+expected Jacobian ``E[d output / d input]``. For a Gaussian input of covariance S the covariance of input and
+output is ``S @ slope`` (Stein's lemma), which holds for S = 0 too, and slopes of a chain of functions multiply.
 Leading axes are batch axes, replicas R first. Formulas: Deisenroth, Efficient Reinforcement Learning using
 Gaussian Processes (2010), section 2.3 and appendix A.
 """
@@ -36,7 +36,7 @@ class Moments(NamedTuple):
 
 
 def linear_moments(x: Gaussian, matrix: Float[Tensor, "... D E"], offset: Tensor | float = 0.0) -> Moments:
-    """Return the moments of x @ matrix + offset."""
+    """Return the moments of ``x @ matrix + offset``."""
     mean = (x.mean @ matrix if matrix.ndim == 2 else (x.mean[..., None, :] @ matrix)[..., 0, :]) + offset
     return Moments(mean, matrix.mT @ x.cov @ matrix, matrix)
 
@@ -53,7 +53,7 @@ def sine_moments(x: Gaussian) -> Moments:
 
 
 def appended(x: Gaussian, y: Moments, keep: Float[Tensor, "D J"], place: Float[Tensor, "E J"]) -> Moments:
-    """Return the joint moments of x @ keep + y @ place, where y is a function of x: usually x with y behind it."""
+    """Return the joint moments of ``x @ keep + y @ place``, where y is a function of x: usually x with y behind it."""
     slope = keep + y.slope @ place
     own = y.cov - y.slope.mT @ x.cov @ y.slope  # what y has beyond its linear part
     return Moments(x.mean @ keep + y.mean @ place, slope.mT @ x.cov @ slope + place.mT @ own @ place, slope)
@@ -61,7 +61,7 @@ def appended(x: Gaussian, y: Moments, keep: Float[Tensor, "D J"], place: Float[T
 
 @cache
 def behind(kept: int, dim: int, added: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Return the maps of `appended` that keep the first of x's dim entries and put the added ones behind them."""
+    """Return the maps of ``appended`` that keep the first of x's dim entries and put the added ones behind them."""
     identity = torch.eye(kept + added, dtype=dtype, device=device)
     nothing = identity.new_zeros(dim - kept, kept + added)
     return torch.cat((identity[:kept], nothing)), identity[kept:]

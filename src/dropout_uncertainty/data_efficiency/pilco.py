@@ -1,8 +1,8 @@
 """PILCO (thesis algorithm 3): predict the trial with a Gaussian process and matched moments, improve the controller.
 
-Steps of the algorithm and where they are: 4 run a trial (`cartpole.rollout`), 5 train the dynamics model
-(`train_model`), 6 predict state distributions (`predict`), 7 expected cost and its gradient
-(`expected_costs`), 8 improve the controller (`improve`). `experiment` joins them. float64, replicas R first.
+Steps of the algorithm and where they are: 4 run a trial (``cartpole.rollout``), 5 train the dynamics model
+(``train_model``), 6 predict state distributions (``predict``), 7 expected cost and its gradient
+(``expected_costs``), 8 improve the controller (``improve``). ``experiment`` joins them. float64, replicas R first.
 """
 
 from dataclasses import dataclass
@@ -123,7 +123,7 @@ def objective(
 def improve(
     model: SquaredExponential, plant: CartPole, shape: PolicyShape, parameters: Float[Tensor, "R P"], iterations: int
 ) -> Minimum:
-    """Return controllers of lower predicted cost: at most `iterations` line searches each from `parameters`."""
+    """Return controllers of lower predicted cost: at most ``iterations`` line searches each from ``parameters``."""
     parts: dict[tuple[int, ...], SquaredExponential] = {}
 
     def evaluate(x: Tensor, numbers: list[int]) -> tuple[Tensor, Tensor]:

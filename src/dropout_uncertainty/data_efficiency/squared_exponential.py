@@ -21,8 +21,8 @@ BLOCK = 2**17
 class SquaredExponential:
     """E functions of D inputs, each a weighted sum of N squared-exponential functions around shared centres.
 
-    Function e is s_e^2 sum_n weights[e, n] exp(-|(x - centre_n) / l_e|^2 / 2). With `precision` it is the
-    posterior of a Gaussian process: k(x, x) - k(x, centres) precision_e k(centres, x) is its own uncertainty
+    Function e is ``s_e^2 sum_n weights[e, n] exp(-|(x - centre_n) / l_e|^2 / 2)``. With ``precision`` it is the
+    posterior of a Gaussian process: ``k(x, x) - k(x, centres) precision_e k(centres, x)`` is its own uncertainty
     at x.
     """
 
@@ -76,9 +76,9 @@ class SquaredExponential:
         return squared_exponential(x, self.centres, self.log_length_scales, self.log_signal_std)
 
     def moments(self, x: Gaussian) -> Moments:
-        """Return the moments for a Gaussian input, with function uncertainty if there is a `precision`.
+        """Return the moments for a Gaussian input, with function uncertainty if there is a ``precision``.
 
-        Gradients with respect to the functions' own parameters exist only without `precision`.
+        Gradients with respect to the functions' own parameters exist only without ``precision``.
         """
         if self.precision is None:
             z = self.centres - x.mean[:, None]
@@ -90,7 +90,7 @@ class SquaredExponential:
 
 
 def squared_exponential(x: Tensor, y: Tensor, log_length_scales: Tensor, log_signal_std: Tensor) -> Tensor:
-    """Return k_e(x_k, y_n) [R, E, K, N] for points x [R, K, D] and y [R, N, D]."""
+    """Return ``k_e(x_k, y_n)`` [R, E, K, N] for points x [R, K, D] and y [R, N, D]."""
     inverse = torch.exp(-log_length_scales)[..., None, :]
     scaled_x, scaled_y = x[:, None] * inverse, y[:, None] * inverse
     square = (scaled_x**2).sum(-1)[..., :, None] + (scaled_y**2).sum(-1)[..., None, :]
@@ -126,14 +126,14 @@ def _second_moment(f: SquaredExponential, z: Tensor, cov: Tensor) -> Tensor:
 
 
 class PosteriorMoments(torch.autograd.Function):
-    """Mean, slope and second moment E f f' under a Gaussian input and the posterior over f.
+    """Mean, slope and second moment ``E f f'`` under a Gaussian input and the posterior over f.
 
     This is the part of PILCO that grows with N^2, so value and gradient are worked out by hand in one pass. A
-    mean value g(m, S) over a Gaussian has dg/dm = slope and dg/dS = half its second derivative in m; those of
-    g are sums over centres. For outputs i <= j the second moment sums W_nm = curvature_nm exp(e_nm), e a
-    quadratic form in the differences z_n, z_m of the centres to m. All that its gradient needs are sums of W,
-    W z and z W z', taken while a block of W is in the cache, so that no N x N array is kept. Only mean and
-    covariance of the input get gradients.
+    mean value ``g(m, S)`` over a Gaussian has ``dg/dm = slope`` and ``dg/dS`` half its second derivative in m;
+    those of g are sums over centres. For outputs i <= j the second moment sums
+    ``W_nm = curvature_nm exp(e_nm)``, e a quadratic form in the differences ``z_n, z_m`` of the centres to m.
+    All that its gradient needs are sums of ``W``, ``W z`` and ``z W z'``, taken while a block of W is in the
+    cache, so that no N x N array is kept. Only mean and covariance of the input get gradients.
     """
 
     @staticmethod
@@ -260,6 +260,6 @@ def _pairs(outputs: int, device: torch.device) -> tuple[Tensor, Tensor]:
 
 
 def _blocks(count: int, size: int) -> list[slice]:
-    """Cut `count` square arrays of edge `size` into slices that stay in the processor's cache."""
+    """Cut ``count`` square arrays of edge ``size`` into slices that stay in the processor's cache."""
     width = max(1, BLOCK // size**2)
     return [slice(i, min(i + width, count)) for i in range(0, count, width)]
