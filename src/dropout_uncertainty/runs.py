@@ -190,7 +190,7 @@ def _compute(unit: Unit, path: Path, partial: Path, progress: bool) -> Record:
                 _save(partial, {"state": process.state(), "clock": clock})
                 last = time.monotonic()
                 saving = last - begin
-    timings = getattr(process, "timings", dict)()  # optional: computing time by part, as JSON data
+    timings: dict[str, Any] = getattr(process, "timings", dict)()  # optional: computing time by part
     origin = {"provenance": {**where, **clock, **timings}}
     header = {**unit.identity, "config": records.config_dict(unit.config), **origin}
     record = records.write(path, process.result(), header)
