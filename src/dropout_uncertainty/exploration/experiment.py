@@ -141,11 +141,18 @@ WIDE = {
         ("wide-dropout", (200, 200), THOMPSON_OF_TEXT.drop),
     )
 }
-CONFIGS: dict[str, Config] = {
+PUBLISHED = {
     "as-demo": AS_DEMO,
     "as-written": AS_WRITTEN,
     **{f"ours-{name}": config for name, config in OURS.items()},
     **WIDE,
+}
+CONFIGS: dict[str, Config] = {
+    **PUBLISHED,
+    **{
+        f"quick/{name}": replace(config, ticks=15_000, held_out_every=config.held_out_every and 3)
+        for name, config in PUBLISHED.items()
+    },
 }
 
 
