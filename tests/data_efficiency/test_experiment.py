@@ -50,6 +50,9 @@ def test_record_holds_consistent_trials(finished):
     assert np.isfinite(record["predicted_mean"][:, 1:]).all()
     assert (record["predicted_variance"][:, 1:] >= 0).all()
     assert (record["policy_line_searches"][:, 1:] >= 1).all()
+    assert (record["search_gradient"][:, 1:] > 0).all()
+    assert (record["search_gradient_sure"][:, 1:] > 0).all()
+    assert (record["search_variance"][:, 1:, 1:] > 0).all()
     assert all(record[name].dtype in (np.float32, np.int32) for name in record)
 
 
@@ -114,11 +117,11 @@ def test_units_cut_seeds_into_batches_and_presets_differ_in_the_plant_only():
 def test_record_says_where_the_computing_time_went(tmp_path):
     unit = runs.Unit("data_efficiency", "short", experiment.start, SHORT, (100, 101), "cpu", "float64")
     origin = runs.run_unit(unit, tmp_path).header["provenance"]
-    parts = [origin[f"{name}_cpu_s"] for name in ("model", "policy", "trial")]
-    assert [len(part) for part in parts] == [SHORT.trials + 1] * 3
-    assert parts[0][0] == parts[1][0] == 0  # the random trial needs neither model nor controller
-    assert min(parts[1][1:]) > 0
-    assert sum(map(sum, parts)) <= origin["cpu_s"] + 0.1
+    parts = {name: origin[f"{name}_cpu_s"] for name in ("model", "gradients", "policy", "trial")}
+    assert {len(part) for part in parts.values()} == {SHORT.trials + 1}
+    assert parts["model"][0] == parts["policy"][0] == 0  # the random trial needs neither model nor controller
+    assert min(parts["policy"][1:]) > 0
+    assert sum(map(sum, parts.values())) <= origin["cpu_s"] + 0.1
 
 
 def test_bad_input_is_named():

@@ -9,6 +9,7 @@ import torch
 from dropout_uncertainty.data_efficiency import controllers, pilco
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER, features
 from dropout_uncertainty.data_efficiency.controllers import RBFController
+from dropout_uncertainty.data_efficiency.cost import cost
 from dropout_uncertainty.data_efficiency.gaussian_process import GaussianProcess
 from dropout_uncertainty.data_efficiency.moment_matching import Gaussian
 from dropout_uncertainty.rng import generator
@@ -131,6 +132,30 @@ def test_improve_lowers_the_predicted_cost_and_reports_its_work():
     torch.testing.assert_close(after, found.value, rtol=1e-9, atol=1e-9)
     assert (found.iterations <= 8).all()
     assert (found.evaluations >= found.iterations).all()
+
+
+def test_gradients_by_step_sum_to_that_of_the_objective():
+    model, plant, shape, parameters = toy()
+    _, gradient = pilco.objective(model, plant, shape, parameters)
+    doubting, sure, states = pilco.step_gradients(model, plant, shape, parameters)
+    torch.testing.assert_close(doubting.sum(1), gradient, rtol=1e-9, atol=1e-12)
+    leaf = parameters.clone().requires_grad_()
+    mean = torch.tensor(plant.start_mean, dtype=torch.float64).expand(2, 4)
+    visited = pilco.predict_points(model, shape.controller(leaf), plant, mean)
+    (expected,) = torch.autograd.grad(cost(plant, visited[:, 3]).sum(), leaf)
+    torch.testing.assert_close(sure[:, 2], expected)
+    assert states.mean.shape == (2, 6, 4)
+
+
+def test_a_trial_without_doubt_follows_the_model_s_mean():
+    model, plant, shape, parameters = toy()
+    controller, start = shape.controller(parameters), pilco.start_distribution(plant, 2)
+    points = pilco.predict_points(model, controller, plant, start.mean)
+    certain = Gaussian(start.mean, torch.zeros_like(start.cov))
+    after = pilco.propagate(model, controller, plant.force_limit, certain).mean
+    torch.testing.assert_close(points[:, 1], after, rtol=0, atol=1e-4)  # the controller adds a small variance
+    again = pilco.predict_points(model, controller, replace(plant, steps=1), points[:, 1])
+    torch.testing.assert_close(again[:, 1], points[:, 2])
 
 
 def test_a_replica_alone_improves_as_among_others():

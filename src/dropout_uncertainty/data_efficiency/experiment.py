@@ -1,7 +1,8 @@
 """PILCO learning the cart-pole swing-up: one unit is a batch of repetitions, one step of its process is a trial."""
 
+import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -62,6 +63,8 @@ CONFIGS: dict[str, PilcoConfig] = {"pilco-paper": PILCO_PAPER, "pilco-matlab": P
 class PilcoLearning:
     """R repetitions of PILCO (thesis algorithm 3) in one batch; step 0 is the random trial."""
 
+    #: What computing time is spent on; "gradients" are for the record only.
+    PARTS = ("model", "gradients", "policy", "trial")
     COUNTS = (
         "model_line_searches",  # summed over outputs
         "policy_line_searches",
@@ -92,6 +95,11 @@ class PilcoLearning:
             "predicted_mean": (times, 4),
             "predicted_variance": (times, 4),
             "predicted_cost": (steps,),
+            # where the search for the controller begins, norms of the gradient of each step's expected cost; with
+            # doubt about the model, and taking its mean for the truth; and what is predicted there
+            "search_gradient": (steps,),
+            "search_gradient_sure": (steps,),
+            "search_variance": (times, 4),
             "hyper": (4, pilco.DIM + 3),  # logs: length-scales, signal and noise standard deviation per output
             "policy": (self.shape.size,),
         }
@@ -99,24 +107,30 @@ class PilcoLearning:
             k: torch.full((runs, self.total, *size), torch.nan, dtype=torch.float64) for k, size in sizes.items()
         }
         self.counts = {name: torch.zeros(runs, self.total, dtype=torch.int64) for name in self.COUNTS}
-        self.seconds = {name: [0.0] * self.total for name in ("model", "policy", "trial")}  # CPU, all repetitions
+        self.seconds = {name: [0.0] * self.total for name in self.PARTS}  # CPU, all repetitions
 
     def advance(self) -> str:
         """Train, improve the controller and run one trial; the first trial has random forces."""
-        started = time.process_time()
         if self.done:
-            model = self._train()
-            trained = time.process_time()
-            self._improve(model)
-            self._predict(model)
-            self.seconds["model"][self.done] = trained - started
-            started, self.seconds["policy"][self.done] = time.process_time(), time.process_time() - trained
-        self._run_trial()
-        self.seconds["trial"][self.done] = time.process_time() - started
+            with self._timed("model"):
+                model = self._train()
+            with self._timed("gradients"):
+                self._record_gradients(model)
+            with self._timed("policy"):
+                self._improve(model)
+                self._predict(model)
+        with self._timed("trial"):
+            self._run_trial()
         costs = self.log["costs"][:, self.done]
         self.done += 1
         count = int(solved(self.config.plant, costs).sum())
         return f"cost {costs.mean():.3f}, solved {count}/{len(self.seeds)}"
+
+    @contextlib.contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        started = time.process_time()
+        yield
+        self.seconds[part][self.done] = time.process_time() - started
 
     def _train(self) -> SquaredExponential:
         """Step 5: fit hyper-parameters, then inducing inputs if there are many data; return the posterior."""
@@ -138,6 +152,13 @@ class PilcoLearning:
         posterior, jittered = model.posterior()
         self.counts["model_repairs"][:, self.done] = repairs + jittered
         return posterior
+
+    def _record_gradients(self, model: SquaredExponential) -> None:
+        """Note how much each step of the predicted trial has to say when the search for the controller begins."""
+        doubting, sure, states = pilco.step_gradients(model, self.config.plant, self.shape, self.policy)
+        self.log["search_gradient"][:, self.done] = doubting.norm(dim=-1)
+        self.log["search_gradient_sure"][:, self.done] = sure.norm(dim=-1)
+        self.log["search_variance"][:, self.done] = states.cov.diagonal(dim1=-2, dim2=-1)
 
     def _improve(self, model: SquaredExponential) -> None:
         """Steps 6 to 8; a controller that cannot be evaluated is redrawn once, then kept as it was."""

@@ -13,8 +13,8 @@ from torch import Generator, Tensor
 
 from dropout_uncertainty.data_efficiency import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.cartpole import FEATURE_NAMES, CartPole, features
-from dropout_uncertainty.data_efficiency.controllers import Controller, RBFController, force_moments
-from dropout_uncertainty.data_efficiency.cost import cost_moments
+from dropout_uncertainty.data_efficiency.controllers import Controller, RBFController, force, force_moments
+from dropout_uncertainty.data_efficiency.cost import cost, cost_moments
 from dropout_uncertainty.data_efficiency.lockstep import Minimum, minimise
 from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, appended, behind, feature_moments
 from dropout_uncertainty.data_efficiency.squared_exponential import SquaredExponential
@@ -118,6 +118,37 @@ def objective(
         total = expected_costs(plant, states).sum(-1)
         (gradient,) = torch.autograd.grad(total.sum(), leaf)
     return total.detach(), gradient
+
+
+def predict_points(
+    model: SquaredExponential, controller: Controller, plant: CartPole, start: Float[Tensor, "R 4"]
+) -> Float[Tensor, "R times 4"]:
+    """Return the trajectory that a model without doubt predicts: the posterior mean is taken for the truth."""
+    states = [start]
+    for _ in range(plant.steps):
+        seen = torch.cat((features(states[-1]), force(controller, plant, states[-1])[..., None]), -1)
+        states.append(states[-1] + model(seen))
+    return torch.stack(states, 1)
+
+
+def step_gradients(
+    model: SquaredExponential, plant: CartPole, shape: PolicyShape, parameters: Float[Tensor, "R P"]
+) -> tuple[Float[Tensor, "R steps P"], Float[Tensor, "R steps P"], Gaussian]:
+    """Return what each step's cost adds to the gradient that the search begins with, and the predicted states.
+
+    The first are gradients of the expected costs of times 1 ... T, which sum to that of ``objective``; the second
+    those of a model without doubt (``predict_points``), to compare with (thesis section 5.4.1, last paragraph).
+    """
+    leaf = parameters.detach().requires_grad_()
+    start = start_distribution(plant, len(leaf))
+    with torch.enable_grad():
+        states = predict(model, shape.controller(leaf), plant, start)
+        sure = predict_points(model, shape.controller(leaf), plant, start.mean)
+        both = [expected_costs(plant, states), cost(plant, sure[:, 1:])]
+        grads = [
+            torch.stack([torch.autograd.grad(c, leaf, retain_graph=True)[0] for c in costs.sum(0)], 1) for costs in both
+        ]
+    return grads[0], grads[1], Gaussian(states.mean.detach(), states.cov.detach())
 
 
 def improve(
