@@ -29,6 +29,7 @@ COLOURS: dict[str, str] = {
     "epsilon-greedy": "#117733",
     "boltzmann": "#E69F00",
     "annealed-thompson": "#882255",
+    "greedy": "#6c6c6c",
     "pilco": "#B8860B",
     "deep-pilco": "#0072B2",
     "deep-pilco-as-written": "#56B4E9",

@@ -9,6 +9,7 @@ from dropout_uncertainty.exploration.policies import (
     Boltzmann,
     Chance,
     EpsilonGreedy,
+    Greedy,
     Thompson,
     policy,
 )
@@ -37,9 +38,10 @@ def test_all_policies_act_uniformly_during_the_burn_in(name):
     np.testing.assert_allclose(frequencies(policy(name), 3001), 0.2, atol=0.01)
 
 
-def test_thompson_takes_random_actions_until_the_memory_holds_the_burn_in():
-    np.testing.assert_allclose(frequencies(Thompson(), 3002), 0.2, atol=0.01)
-    np.testing.assert_array_equal(frequencies(Thompson(), 3003), [0, 0, 1, 0, 0])
+@pytest.mark.parametrize("choose", [Thompson(), Greedy()])
+def test_random_actions_end_when_the_memory_holds_the_burn_in(choose):
+    np.testing.assert_allclose(frequencies(choose, 3002), 0.2, atol=0.01)
+    np.testing.assert_array_equal(frequencies(choose, 3003), [0, 0, 1, 0, 0])
 
 
 @pytest.mark.parametrize("tick", [3003, 50_000, 150_000])
@@ -57,7 +59,7 @@ def test_temperature_falls_from_start_to_end_and_stays():
 
 def test_who_acts_on_a_draw_of_the_weights():
     assert {name: kind.draws_weights for name, kind in POLICIES.items()} == {
-        "epsilon-greedy": False, "thompson": True, "boltzmann": False, "annealed-thompson": True,
+        "epsilon-greedy": False, "thompson": True, "greedy": False, "boltzmann": False, "annealed-thompson": True,
     }  # fmt: skip
     assert issubclass(AnnealedThompson, Boltzmann)
 

@@ -26,6 +26,7 @@ LABELS: dict[str, str] = {
     "epsilon-greedy": "ε-greedy",
     "boltzmann": "Boltzmann",
     "annealed-thompson": "Annealed Thompson",
+    "greedy": "No exploration",
 }
 #: Average reward that the text to Figure 5.4 counts batches to.
 TARGET = 1.0
@@ -169,8 +170,8 @@ def advantage(agents: Agents, first: str, second: str) -> Interval:
     slow, fast = (batches(agents[name].crossings()) for name in (second, first))
 
     def ratio(indices: np.ndarray) -> float:
-        middle = [float(np.quantile(values[indices], 0.5, method="inverted_cdf")) for values in (slow, fast)]
-        return middle[0] / middle[1] if np.isfinite(middle[1]) else np.nan
+        late, early = (np.quantile(values[indices], 0.5, method="inverted_cdf") for values in (slow, fast))
+        return 1.0 if late == early else float(late / early)  # also where neither arrives
 
     return bootstrap_interval(ratio, len(slow))
 

@@ -126,6 +126,7 @@ OURS = {
         ("epsilon-greedy", NO_DROPOUT),
         ("boltzmann", NO_DROPOUT),
         ("annealed-thompson", THOMPSON_OF_DEMO.drop),
+        ("greedy", NO_DROPOUT),
     )
 }
 #: Over-fitting (claim EX6): networks of the demo's and of four times its width, without and with the text's dropout.
@@ -162,7 +163,6 @@ def make_policy(name: str, config: Config) -> Policy:
         "start": config.temperature_start, "end": config.temperature_end, "cooling_end": config.cooling_end,
     }  # fmt: skip
     settings: dict[str, dict[str, Any]] = {
-        "thompson": {},
         "epsilon-greedy": {"anneal_end": config.anneal_end, "floor": config.epsilon_floor},
         "boltzmann": temperatures,
         "annealed-thompson": temperatures,

@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
-__all__ = ["POLICIES", "AnnealedThompson", "Boltzmann", "Chance", "EpsilonGreedy", "Policy", "Thompson", "policy"]
+__all__ = [
+    "POLICIES", "AnnealedThompson", "Boltzmann", "Chance", "EpsilonGreedy", "Greedy", "Policy", "Thompson", "policy",
+]  # fmt: skip
 
 
 class Chance(NamedTuple):
@@ -68,15 +70,22 @@ class EpsilonGreedy:
 
 
 @dataclass(frozen=True)
-class Thompson:
-    """Draws the weights and takes the action that is best under the draw; random actions during the burn-in only."""
+class Greedy:
+    """Takes the best action, and a random one during the burn-in only: the control that does not explore. Ours."""
 
     burn_in: int = 3000
-    draws_weights: ClassVar[bool] = True
+    draws_weights: ClassVar[bool] = False
 
     def __call__(self, q: NDArray, chance: Chance, tick: int) -> Int[np.ndarray, " R"]:
         """Return the actions."""
         return random_action(q, chance) if in_burn_in(tick, self.burn_in) else q.argmax(-1)
+
+
+@dataclass(frozen=True)
+class Thompson(Greedy):
+    """Draws the weights and takes the action that is best under the draw; random actions during the burn-in only."""
+
+    draws_weights: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -120,6 +129,7 @@ def in_burn_in(tick: int, burn_in: int) -> bool:
 POLICIES: dict[str, type[Policy]] = {
     "epsilon-greedy": EpsilonGreedy,
     "thompson": Thompson,
+    "greedy": Greedy,
     "boltzmann": Boltzmann,
     "annealed-thompson": AnnealedThompson,
 }
