@@ -1,0 +1,277 @@
+"""From records to the numbers of Figure 5.7 and of claims DE1 and DE11. Nothing is run and nothing is drawn here.
+
+PILCO's and Deep PILCO's records keep costs and predictions under the same names, so that one class reads both.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from scipy import stats as scipy_stats
+
+from dropout_uncertainty import records
+from dropout_uncertainty.data_efficiency import cost
+from dropout_uncertainty.data_efficiency.cartpole import CartPole
+from dropout_uncertainty.data_efficiency.experiment import EXPERIMENT
+from dropout_uncertainty.records import Record
+from dropout_uncertainty.results import Result, measured, thesis_value
+from dropout_uncertainty.stats import CONFIDENCE, Interval, bootstrap_interval, t_interval
+
+__all__ = [
+    "LABELS", "LATER", "TRIALS", "Learning", "check_quick", "doubt_and_gradient", "excess_on_predictable",
+    "from_arrays", "from_records", "load", "results", "share_interval", "solved_table", "time_table",
+]  # fmt: skip
+
+#: How each config is called in figures and tables; those of Figure 5.7 first.
+LABELS: dict[str, str] = {
+    "pilco-paper": "PILCO",
+    "deep-pilco-ours": "Deep PILCO",
+    "deep-pilco-as-written": "Deep PILCO, as written",
+    "pilco-matlab": "PILCO, cart-pole of its own code",
+}
+#: Configs by the names that results go by (figure-5.7/<name>/...); the plain ones are judged.
+NAMES: dict[str, str] = {
+    "pilco-paper": "pilco",
+    "deep-pilco-ours": "deep-pilco",
+    "deep-pilco-as-written": "deep-pilco/as-written",
+    "pilco-matlab": "pilco/matlab",
+}
+#: Trials at which curves are read off: those that thesis text and captions name, and round ones.
+TRIALS = (1, 5, 7, 10, 15, 20, 25, 26, 40)
+#: A repetition keeps its solution if at least this share of the trials after the first solved one are solved.
+KEPT = 0.8
+#: Trials over which claim DE11 is judged: those before most repetitions are solved.
+LATER = (1, 2, 3, 4, 5)
+
+
+@dataclass(frozen=True)
+class Learning:
+    """R repetitions of a learner on a plant; trial 0 is the random one.
+
+    Attributes:
+        config: name of its config, e.g. "pilco-paper".
+        plant: the cart-pole.
+        costs: [R, trials + 1, T] realised cost of each step.
+        seeds: one per repetition.
+        arrays: all arrays of the records, R first.
+        records: where they come from; none for a live run.
+    """
+
+    config: str
+    plant: CartPole
+    costs: Float[np.ndarray, "R trials T"]
+    seeds: tuple[int, ...]
+    arrays: Mapping[str, np.ndarray]
+    records: tuple[Record, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Name of the learner in words."""
+        return LABELS.get(self.config, self.config)
+
+    @property
+    def trials(self) -> int:
+        """Number of controlled trials."""
+        return self.costs.shape[1] - 1
+
+    @property
+    def trial_costs(self) -> Float[np.ndarray, "R trials"]:
+        """Mean cost per step of each trial, in [0, 1]: the curve of Figure 5.7."""
+        return self.costs.mean(-1)
+
+    @property
+    def predicted_costs(self) -> Float[np.ndarray, "R trials"]:
+        """Mean cost per step that the model expected of each trial; NaN for the random one."""
+        return self.arrays["predicted_cost"].astype(float).mean(-1)
+
+    @property
+    def solved(self) -> Bool[np.ndarray, "R trials"]:
+        """Which trials ended with the pole balanced (``cost.solved``)."""
+        return cost.solved(self.plant, torch.from_numpy(self.costs)).numpy()
+
+    @property
+    def first_solved(self) -> Float[np.ndarray, " R"]:
+        """First controlled trial that is solved in each repetition; inf if there is none."""
+        controlled = self.solved[:, 1:]
+        return np.where(controlled.any(1), controlled.argmax(1) + 1.0, np.inf)
+
+    @property
+    def kept_share(self) -> Float[np.ndarray, " R"]:
+        """Share of the trials after the first solved one that are solved; NaN where there is none."""
+        share = np.full(len(self.costs), np.nan)
+        for i, first in enumerate(self.first_solved):
+            if first < self.trials:
+                share[i] = self.solved[i, int(first) + 1 :].mean()
+        return share
+
+    @property
+    def trials_to_solve(self) -> Interval:
+        """Trial by which at least half of the repetitions are solved; inf if they are not."""
+        first = self.first_solved
+        return bootstrap_interval(lambda i: float(np.quantile(first[i], 0.5, method="inverted_cdf")), len(first))
+
+    def solved_by(self, trial: int) -> Interval:
+        """Share of the repetitions solved by a trial, with its Wilson interval."""
+        return share_interval(self.first_solved <= trial)
+
+    def cost_at(self, trial: int) -> Interval:
+        """Mean cost per step of a trial."""
+        return t_interval(self.trial_costs[:, trial])
+
+    @property
+    def kept(self) -> Interval:
+        """Share of the solved repetitions, with trials left, that keep at least ``KEPT`` of those solved."""
+        share = self.kept_share
+        return share_interval(share[~np.isnan(share)] >= KEPT)
+
+
+def share_interval(flags: Sequence[bool] | np.ndarray) -> Interval:
+    """Return the share of true flags with Wilson's interval, which stays within [0, 1] and is not empty at its ends."""
+    flags = np.asarray(flags, bool)
+    n = len(flags)
+    if n == 0:
+        return Interval(np.nan, np.nan, np.nan, 0)
+    limits = scipy_stats.binomtest(int(flags.sum()), n).proportion_ci(CONFIDENCE, method="wilson")
+    return Interval(float(flags.mean()), float(limits.low), float(limits.high), n)
+
+
+def load(config: str, folder: Path | None = None) -> Learning | None:
+    """Return the published repetitions (seeds below 100) of a config; None if there are none yet.
+
+    Raises:
+        RecordError: if a record cannot be trusted.
+    """
+    found = [r for r in records.find(EXPERIMENT, name=config, folder=folder) if max(r.seeds) < 100]
+    return from_records(config, found) if found else None
+
+
+def from_records(config: str, found: Sequence[Record]) -> Learning:
+    """Return the repetitions that some records of one config hold."""
+    names = found[0].arrays.keys()
+    arrays = {name: np.concatenate([record.arrays[name] for record in found]) for name in names}
+    plant = dict(found[0].header["config"]["plant"])
+    plant["start_mean"] = tuple(plant["start_mean"])
+    seeds = [seed for record in found for seed in record.seeds]
+    return from_arrays(config, CartPole(**plant), arrays, seeds, found)
+
+
+def from_arrays(
+    config: str, plant: CartPole, arrays: Mapping[str, np.ndarray], seeds: Sequence[int], found: Sequence[Record] = ()
+) -> Learning:
+    """Return the repetitions of a run, from the arrays that a process's ``result`` gives."""
+    return Learning(config, plant, arrays["costs"].astype(float), tuple(seeds), arrays, tuple(found))
+
+
+def doubt_and_gradient(learning: Learning, trial: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what claim DE11 compares, at the beginning of a trial's policy search; each [R, T].
+
+    Predicted standard deviation of the pole's angle [rad]; share that each step has in the gradient (norms of the
+    steps' gradients, which sum to 1); the same share had the model taken its mean for the truth.
+    """
+    doubt = np.sqrt(learning.arrays["search_variance"][:, trial, 1:, 3].astype(float))
+    norms = [learning.arrays[name][:, trial].astype(float) for name in ("search_gradient", "search_gradient_sure")]
+    with_doubt, sure = (norm / norm.sum(1, keepdims=True) for norm in norms)
+    return doubt, with_doubt, sure
+
+
+def excess_on_predictable(learning: Learning, trials: Sequence[int] = LATER) -> tuple[np.ndarray, np.ndarray]:
+    """Return two statistics of claim DE11 for each repetition, means over ``trials``; each [R].
+
+    First the rank correlation over steps of predicted doubt and of how much less a step counts than in a model
+    without doubt (share of the gradient with doubt over that without); then the share of the gradient on the steps
+    that are predicted well, with doubt minus without. A step is predicted well if one standard deviation of the angle
+    moves the tip by less than the width of the cost.
+    """
+    correlations, differences = [], []
+    for trial in trials:
+        doubt, with_doubt, sure = doubt_and_gradient(learning, trial)
+        ratio = with_doubt / np.maximum(sure, np.finfo(float).tiny)
+        correlations.append([scipy_stats.spearmanr(d, r).statistic for d, r in zip(doubt, ratio, strict=True)])
+        well = doubt * learning.plant.pole_length < learning.plant.cost_width
+        differences.append(((with_doubt - sure) * well).sum(1))
+    return np.mean(correlations, 0), np.mean(differences, 0)
+
+
+def check_quick(learning: Learning) -> None:
+    """Check a short live run of PILCO, three controlled trials or more, against wide bands set before it was first run.
+
+    Raises:
+        ValueError: naming the band that it leaves.
+    """
+    trial_costs = learning.trial_costs
+    if not (trial_costs[:, 0] > 0.9).all():
+        raise ValueError(f"random trials cost {trial_costs[:, 0].round(2)} per step, expected more than 0.9")
+    best = float(trial_costs[:, 1:].min(1).mean())
+    if not 0.2 <= best <= 0.9:
+        raise ValueError(f"the best controlled trials cost {best:.2f} per step at the mean, outside 0.2 to 0.9")
+
+
+def results(folder: Path | None = None) -> list[Result]:
+    """Return the numbers of Figure 5.7, with ids as in ``python -m dropout_uncertainty results``."""
+    found = []
+    for config, name in NAMES.items():
+        learning = load(config, folder)
+        if learning is not None:
+            found += _results(learning, f"figure-5.7/{name}")
+    return found
+
+
+def _results(learning: Learning, name: str) -> list[Result]:
+    """Return the statistics of one config; only the trials to solve have a printed value to be judged by."""
+    solve = "first trial by which at least half of the repetitions had a solved one"
+    statistics = [
+        ("trials-to-solve", learning.trials_to_solve, "trials", solve),
+        ("kept", learning.kept, "share", f"solved repetitions with at least {KEPT:.0%} of the later trials solved"),
+    ]
+    for trial in (t for t in TRIALS if t <= learning.trials):
+        statistics += [
+            (f"solved-by-{trial}", learning.solved_by(trial), "share", f"repetitions solved by trial {trial}"),
+            (f"cost-at-{trial}", learning.cost_at(trial), "cost per step", f"mean cost of trial {trial}"),
+        ]
+    return [
+        measured(
+            f"{name}/{kind}", interval, learning.records,
+            unit=unit, statistic=statistic, config=learning.config,
+        )
+        for kind, interval, unit, statistic in statistics
+    ]  # fmt: skip
+
+
+def solved_table(learnings: Sequence[Learning], trials: Sequence[int]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: trials to solve beside those of the thesis, and shares of repetitions solved by then."""
+    heads = ["", "trials to solve, thesis", "ours", *(f"solved by {t}" for t in trials), "kept", "repetitions"]
+    cells: list[list[object]] = []
+    for learning in learnings:
+        printed = thesis_value(f"figure-5.7/{NAMES.get(learning.config, learning.config)}/trials-to-solve")
+        value, low, high, n = learning.trials_to_solve
+        limits = f" [{_trial(low, learning)}, {_trial(high, learning)}]" if n > 1 else ""
+        shares = [_share(learning.solved_by(t)) if t <= learning.trials else None for t in trials]
+        ours = _trial(value, learning) + limits
+        cells.append([learning.label, printed and f"{printed:g}", ours, *shares, _share(learning.kept), n])
+    return heads, cells
+
+
+def _trial(value: float, learning: Learning) -> str:
+    return f"{value:.0f}" if np.isfinite(value) else f"> {learning.trials}"
+
+
+def _share(interval: Interval) -> str | None:
+    if interval.n == 0:
+        return None
+    return f"{interval.value:.0%} [{interval.low:.0%}, {interval.high:.0%}]"
+
+
+def time_table(learning: Learning, trials: Sequence[int]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: CPU seconds of a trial and repetition by part, mean over the units of the records."""
+    origins = [(record.header["provenance"], len(record.seeds)) for record in learning.records]
+    parts = {"model": "model", "policy": "search for the controller", "trial": "trial of the plant"}
+    heads = ["trial", "transitions", *parts.values()]
+    cells: list[list[object]] = []
+    for trial in (t for t in trials if t <= learning.trials):
+        seconds = [sum(o[f"{part}_cpu_s"][trial] for o, _ in origins) for part in parts]
+        runs = sum(n for _, n in origins)
+        cells.append([trial, trial * learning.plant.steps, *(f"{s / runs:.2f}" for s in seconds)])
+    return heads, cells

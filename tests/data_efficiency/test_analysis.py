@@ -1,0 +1,167 @@
+"""Learning curves: what counts as solved and kept, verdicts that follow their rules, pictures that show the numbers."""
+
+from dataclasses import asdict
+
+import matplotlib
+import numpy as np
+import pytest
+
+matplotlib.use("agg")
+import matplotlib.pyplot as plt
+
+from dropout_uncertainty import records
+from dropout_uncertainty.data_efficiency import analysis, figures
+from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER
+from dropout_uncertainty.data_efficiency.claims import CLAIMS
+from dropout_uncertainty.data_efficiency.experiment import PILCO_PAPER
+
+CLAIM = {claim.id: claim for claim in CLAIMS}
+TRIALS, STEPS = 10, PAPER.steps
+
+
+def arrays(first, *, lost=(), attentive=True):
+    """Return the arrays of repetitions that are solved from the trials ``first`` on, but for those in ``lost``."""
+    runs, trial = len(first), np.arange(TRIALS + 1)
+    good = (trial >= np.array(first)[:, None]) & ~np.isin(trial, lost)
+    costs = np.where(good[..., None] & (np.arange(STEPS) >= 10), 0.05, 1.0)
+    spread = np.linspace(0.01, 3.0, STEPS + 1) ** 2
+    early = np.exp(-np.arange(STEPS) / 6)
+    states = np.zeros((runs, TRIALS + 1, STEPS + 1, 4))
+    return {
+        "costs": costs, "predicted_cost": costs - 0.01, "states": states, "predicted_mean": states,
+        "predicted_variance": np.broadcast_to(spread[:, None], states.shape),
+        "search_variance": np.broadcast_to(spread[:, None], states.shape),
+        "search_gradient": np.broadcast_to(early if attentive else early[::-1], costs.shape),
+        "search_gradient_sure": np.ones_like(costs),
+    }  # fmt: skip
+
+
+def learning(first, **options):
+    return analysis.from_arrays("pilco-paper", PAPER, arrays(first, **options), range(len(first)))
+
+
+def write(folder, first, **options):
+    config = records.config_dict(PILCO_PAPER)
+    header = {
+        "experiment": "data_efficiency", "name": "pilco-paper", "seeds": list(range(len(first))), "config": config,
+        "config_hash": records.config_hash(config),
+        "provenance": {f"{part}_cpu_s": [6.0] * (TRIALS + 1) for part in ("model", "policy", "trial")},
+    }  # fmt: skip
+    arrays32 = {name: value.astype(np.float32) for name, value in arrays(first, **options).items()}
+    records.write(folder / "data_efficiency" / "pilco-paper" / "000-005.npz", arrays32, header)
+    return folder
+
+
+def test_first_solved_and_kept_are_read_off_the_trials():
+    found = learning([3, 5, 99], lost=(7,))
+    assert found.first_solved.tolist() == [3, 5, np.inf]
+    np.testing.assert_allclose(found.kept_share, [6 / 7, 4 / 5, np.nan])
+    assert found.kept[0] == 1.0
+    assert learning([3, 5], lost=(7, 8)).kept[0] == 0.0
+    assert learning([10]).kept.n == 0  # no trial is left to keep it in
+
+
+def test_trials_to_solve_is_when_half_are_solved():
+    assert learning([2, 3, 4, 99]).trials_to_solve.value == 3
+    assert learning([2, 99, 99, 99]).trials_to_solve.value == np.inf
+    assert learning([2, 3, 4, 99]).solved_by(3).value == 0.5
+    np.testing.assert_allclose(learning([99]).cost_at(4).value, 1.0)
+
+
+def test_share_has_wilsons_interval():
+    value, low, high, n = analysis.share_interval([True] * 10)
+    assert (value, n) == (1.0, 10)
+    assert high == 1.0
+    np.testing.assert_allclose(low, 10 / (10 + 1.959964**2), rtol=1e-6)
+    assert analysis.share_interval([]).n == 0
+
+
+def test_results_carry_the_ids_that_other_programs_rely_on(tmp_path):
+    found = {r.id: r for r in analysis.results(write(tmp_path, [3, 4, 5, 6, 7, 8]))}
+    assert found["figure-5.7/pilco/trials-to-solve"].ours == 5
+    assert found["figure-5.7/pilco/trials-to-solve"].thesis == 6.5
+    assert found["figure-5.7/pilco/solved-by-7"].ours == pytest.approx(5 / 6)
+    assert found["figure-5.7/pilco/cost-at-1"].ours == pytest.approx(1.0)
+    assert found["figure-5.7/pilco/cost-at-1"].records == ["data_efficiency/pilco-paper/000-005.npz"]
+    assert "figure-5.7/pilco/cost-at-15" not in found
+    assert analysis.results(tmp_path / "empty") == []
+
+
+def test_development_seeds_are_left_out(tmp_path):
+    write(tmp_path, [3, 4])
+    assert analysis.load("pilco-paper", tmp_path).seeds == (0, 1)
+    assert analysis.load("pilco-matlab", tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("claim", "first", "attentive", "verdict"),
+    [
+        ("DE1", [6, 6, 6, 7, 7, 7, 6, 7], True, "replicated"),
+        ("DE1", [3, 3, 3, 4, 4, 4], True, "partly"),  # within 7 trials, but not in as many
+        ("DE1", [99] * 6, True, "not replicated"),
+        ("DE1", [3, 4], True, "undecided"),
+        ("DE11", [3] * 6, True, "replicated"),
+        ("DE11", [3] * 6, False, "not replicated"),
+    ],
+)
+def test_claims_follow_their_rules(tmp_path, claim, first, attentive, verdict):
+    judgement = CLAIM[claim].judge(write(tmp_path, first, attentive=attentive))
+    assert judgement.verdict == verdict, judgement.sentence
+    assert judgement.records
+    assert CLAIM[claim].judge(tmp_path / "empty").verdict == "undecided"
+
+
+def test_a_step_predicted_well_is_one_whose_tip_is_within_the_width_of_the_cost():
+    found = learning([3] * 2)
+    doubt, with_doubt, sure = analysis.doubt_and_gradient(found, 2)
+    np.testing.assert_allclose(with_doubt.sum(1), 1)
+    well = doubt[0] < PAPER.cost_width / PAPER.pole_length
+    _, difference = analysis.excess_on_predictable(found, [2])
+    np.testing.assert_allclose(difference[0], with_doubt[0, well].sum() - sure[0, well].sum())
+    assert 0 < well.sum() < STEPS
+
+
+def test_tables_have_a_cell_for_every_head(tmp_path):
+    found = analysis.load("pilco-paper", write(tmp_path, [3, 99, 99]))
+    for heads, cells in (analysis.solved_table([found], (5, 15)), analysis.time_table(found, (1, 5, 15))):
+        assert all(len(row) == len(heads) for row in cells)
+    assert analysis.solved_table([found], (5,))[1][0][2].startswith("> 10")
+    assert analysis.time_table(found, (5,))[1] == [[5, 125, "2.00", "2.00", "2.00"]]
+
+
+def test_quick_run_is_held_to_its_bands():
+    good = learning([3, 3])
+    analysis.check_quick(good)
+    with pytest.raises(ValueError, match=r"outside 0\.2 to 0\.9"):
+        analysis.check_quick(learning([99, 99]))
+
+
+def test_pictures_show_the_numbers():
+    found = learning([2, 3, 5])
+    _, axes = plt.subplots(1, 2)
+    figures.figure_5_7(axes[0], [found])
+    np.testing.assert_allclose(axes[0].lines[0].get_ydata(), found.trial_costs[:, 1:].mean(0))
+    assert axes[0].get_xscale() == "log"
+    positions = [line.get_xdata()[0] for line in axes[0].lines[1:]]
+    assert positions == [5, 42, 400, 2500]
+    figures.gradient_shares(list(axes), found, 2)
+    np.testing.assert_allclose(axes[1].lines[0].get_ydata(), analysis.doubt_and_gradient(found, 2)[1][0])
+    _, axes = plt.subplots(1, 2)
+    figures.predicted_and_realised(axes[0], found, (1, 2))
+    figures.predicted_trial(list(axes), found, (1, 2))
+    plt.close("all")
+
+
+@pytest.mark.parametrize("plant", [PAPER, MATLAB])
+def test_the_drawn_pole_is_to_scale(plant):
+    _, ax = plt.subplots()
+    figures.figure_5_6(ax, plant)
+    (pole,) = [line for line in ax.lines if line.get_linewidth() == 4 and line.get_alpha() == 1.0]
+    assert np.hypot(*np.diff(pole.get_xydata(), axis=0)[0]) == pytest.approx(plant.pole_length)
+    figures.figure_5_5(ax)
+    plt.close("all")
+
+
+def test_plant_of_a_record_is_that_of_its_config(tmp_path):
+    plant = analysis.load("pilco-paper", write(tmp_path, [3])).plant
+    assert asdict(plant) == asdict(PAPER)
