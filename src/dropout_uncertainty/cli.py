@@ -3,21 +3,32 @@
 import contextlib
 import importlib
 import json
+import math
 import re
 import sys
-from typing import Annotated, Any
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import date
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dropout_uncertainty.errors import UserError
 
+if TYPE_CHECKING:  # PyTorch takes seconds to import, which `--help` need not wait for
+    from dropout_uncertainty.runs import Unit
+
 __all__ = ["EXPERIMENTS", "app", "main"]
 
-#: Experiments by name, and the module that holds their configs and units.
-EXPERIMENTS = {
-    "active_learning": "dropout_uncertainty.active_learning.experiment",
-    "exploration": "dropout_uncertainty.exploration.experiment",
-    "data_efficiency": "dropout_uncertainty.data_efficiency.experiment",
+#: Experiments by name, and the modules that hold their configs and units.
+EXPERIMENTS: dict[str, tuple[str, ...]] = {
+    "active_learning": ("dropout_uncertainty.active_learning.experiment",),
+    "exploration": ("dropout_uncertainty.exploration.experiment",),
+    "data_efficiency": (
+        "dropout_uncertainty.data_efficiency.experiment",
+        "dropout_uncertainty.data_efficiency.deep_pilco_experiment",
+    ),
 }
 
 app = typer.Typer(
@@ -68,11 +79,11 @@ def run(
     if precision is not None:
         runs.precision_dtype(precision)
         options["precision"] = precision
-    module = importlib.import_module(EXPERIMENTS[known(experiment.replace("-", "_"), EXPERIMENTS, "experiment")])
-    names = config_names(config, module.CONFIGS)
+    modules = config_modules(known(experiment.replace("-", "_"), EXPERIMENTS, "experiment"))
+    names = config_names(config, modules)
     numbers = seed_list(seeds)
     # Seed by seed, so that every config has its first repetition before any has its second.
-    by_seed = zip(*([unit for unit in module.units(name, numbers, **options)] for name in names), strict=True)
+    by_seed = zip(*([unit for unit in modules[name].units(name, numbers, **options)] for name in names), strict=True)
     units = [unit for group in by_seed for unit in group]
     with runs.processes(workers) if workers > 1 else contextlib.nullcontext() as executor:
         for record in runs.run(units, executor=executor):
@@ -95,8 +106,12 @@ def list_records() -> None:
 
 
 @record_commands.command("verify")
-def verify_records() -> None:
-    """Check every stored record against its checksum, schema and config hash."""
+def verify_records(
+    recompute: Annotated[int, typer.Option(help="units of each section to recompute, drawn at random", min=0)] = 0,
+    seed: Annotated[int | None, typer.Option(help="of the drawing; default: today's date as a number")] = None,
+    seconds: Annotated[float, typer.Option(help="CPU time for the first steps of each; 0: all its steps")] = 30.0,
+) -> None:
+    """Check every stored record against its checksum, schema and config hash; recompute a few and compare."""
     from dropout_uncertainty import records
 
     found = records.verify()
@@ -104,7 +119,25 @@ def verify_records() -> None:
     for problem in problems:
         typer.echo(problem, err=True)
     typer.echo(f"{len(found) - len(problems)} of {len(found)} records are intact")
-    raise typer.Exit(code=1 if problems else 0)
+    intact = [records.read(path) for path, problem in found if problem is None]
+    failed = bool(problems)
+    if recompute:
+        failed |= _recompute(intact, recompute, seed if seed is not None else int(f"{date.today():%Y%m%d}"), seconds)
+    raise typer.Exit(code=1 if failed else 0)
+
+
+def _recompute(found: list[Any], count: int, seed: int, seconds: float) -> bool:
+    """Recompute some records of each section, print what comes out, and return whether one is not confirmed."""
+    from dropout_uncertainty.recompute import choose, recompute
+
+    failed = False
+    typer.echo(f"recomputing {count} of the records of each section, drawn with seed {seed}")
+    for experiment in EXPERIMENTS:
+        for record in choose([r for r in found if r.header["experiment"] == experiment], count, seed):
+            comparison = recompute(recorded_unit(record.header), record, seconds or math.inf)
+            typer.echo(str(comparison), err=bool(comparison.problems))
+            failed |= bool(comparison.problems)
+    return failed
 
 
 @app.command()
@@ -130,6 +163,32 @@ def known(name: str, choices: Any, what: str) -> str:
     if name not in choices:
         raise UserError(f"unknown {what} {name!r}, choose one of {', '.join(choices)}")
     return name
+
+
+def config_modules(experiment: str) -> dict[str, ModuleType]:
+    """Return the names of all configs of an experiment, each with the module that holds it."""
+    modules = [importlib.import_module(name) for name in EXPERIMENTS[experiment]]
+    return {name: module for module in modules for name in module.CONFIGS}
+
+
+def recorded_unit(header: Mapping[str, Any]) -> "Unit":
+    """Return the unit that a record with this header is the result of, as the code makes it now.
+
+    Raises:
+        UserError: if the code has no such config any more, or another one of that name, or lacks the device.
+    """
+    from dropout_uncertainty import records, runs
+
+    where = f"{header['experiment']}/{header['name']}"
+    modules = config_modules(header["experiment"])
+    if header["name"] not in modules:
+        raise UserError(f"{where} cannot be recomputed: there is no config of that name any more")
+    module, seeds = modules[header["name"]], tuple(header["seeds"])
+    unit = replace(module.units(header["name"], seeds[:1])[0], seeds=seeds, precision=header["precision"])
+    if records.config_hash(unit.config) != header["config_hash"]:
+        changed = ", ".join(field for field, *_ in records.config_diff(header["config"], unit.config))
+        raise UserError(f"{where} cannot be recomputed: its config has changed since ({changed})")
+    return replace(unit, device=runs.check_device(header["device"]))
 
 
 def config_names(name: str, configs: dict[str, Any]) -> list[str]:

@@ -118,17 +118,31 @@ def provenance(device: str = "cpu") -> dict[str, Any]:
         "scipy": scipy.__version__,
         "system": f"{platform.system()} {platform.machine()}",
         "processor": torch.cuda.get_device_name() if device == "cuda" else _processor(),
+        "processor_family": _processor_family(),
+        "threads": torch.get_num_threads(),
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
 
 
 @cache
-def _processor() -> str:
+def _cpuinfo() -> dict[str, str]:
+    """Return what Linux says of the first processor, nothing elsewhere."""
     with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
+        lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
+        return {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
+    return {}
+
+
+def _processor() -> str:
+    return _cpuinfo().get("model name") or platform.processor() or platform.machine()
+
+
+def _processor_family() -> str:
+    """Return what decides how results are rounded; virtual machines may hide it in the name of the processor."""
+    import torch
+
+    known = [f"{key.removeprefix('cpu ')} {_cpuinfo()[key]}" for key in ("cpu family", "model") if key in _cpuinfo()]
+    return ", ".join([*known, torch.backends.cpu.get_cpu_capability()])
 
 
 def write(path: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> Record:
