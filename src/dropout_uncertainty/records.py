@@ -7,14 +7,15 @@ config, seeds, versions, times and a checksum of the arrays. Reading verifies al
 
 import contextlib
 import datetime
+import errno
 import hashlib
+import io
 import json
 import os
 import platform
 import subprocess
 import tempfile
 import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, is_dataclass
 from functools import cache
@@ -32,7 +33,12 @@ __all__ = [
 
 SCHEMA = 1
 HEADER = "header.json"
-REQUIRED = ("schema", "experiment", "name", "seeds", "config", "config_hash", "checksum", "provenance")
+#: What systems say on a disk without hard links.
+NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
+REQUIRED = {
+    "schema": int, "experiment": str, "name": str, "seeds": list, "config": dict, "config_hash": str, "checksum": str,
+    "provenance": dict,
+}  # fmt: skip
 
 
 class RecordError(UserError):
@@ -165,18 +171,30 @@ def write(path: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any
             np.savez_compressed(file, allow_pickle=False, **{HEADER: text}, **arrays)
             file.flush()
             os.fsync(file.fileno())
-        temporary.chmod(0o644)
-        with contextlib.suppress(FileExistsError):
-            os.link(temporary, path)  # unlike a rename this never replaces a file
+        _publish(temporary, path)
     except OSError as error:
         raise RecordError(f"cannot write the record {path} ({error.strerror or error}): is the disk full?") from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
     record = read(path)
+    for leftover in path.parent.glob(f".{path.name}-*"):  # of writers that were killed, or came too late
+        leftover.unlink(missing_ok=True)
     if record.header["checksum"] != full["checksum"]:
         raise RecordError(f"{path} already holds another result; move it away if you want to replace it")
     return record
+
+
+def _publish(temporary: Path, path: Path) -> None:
+    """Give a complete file its name, unless another writer was quicker."""
+    with contextlib.suppress(FileExistsError, FileNotFoundError):  # not found: the quicker one has tidied up
+        temporary.chmod(0o644)
+        try:
+            os.link(temporary, path)  # unlike a rename this never replaces a file
+        except OSError as error:
+            if error.errno not in NO_HARD_LINKS or path.exists():
+                raise
+            temporary.rename(path)
 
 
 def read(path: Path | str) -> Record:
@@ -188,26 +206,37 @@ def read(path: Path | str) -> Record:
     path = Path(path)
     remedy = "restore it from version control, or delete it and run its unit again"
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        header = json.loads(arrays.pop(HEADER).tobytes())
+        header, arrays = _parse(path)
     except FileNotFoundError:
         raise RecordError(f"there is no record {path}") from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-        raise RecordError(f"the record {path} cannot be read ({error}): {remedy}") from error
-    if not isinstance(header, dict) or header.get("schema") != SCHEMA:
-        found = header.get("schema") if isinstance(header, dict) else None
+    except Exception as error:  # NumPy, zipfile and json do not say what damaged bytes make them raise
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise RecordError(f"the record {path} cannot be read ({reason}): {remedy}") from error
+    if header.get("schema") != SCHEMA:
         raise RecordError(
-            f"the record {path} has schema version {found}, this program reads {SCHEMA}: use a version to match"
+            f"the record {path} has schema version {header.get('schema')}, this program reads {SCHEMA}: "
+            "use a version to match"
         )
-    missing = [key for key in REQUIRED if key not in header]
-    if missing:
+    if missing := [key for key in REQUIRED if key not in header]:
         raise RecordError(f"the header of {path} lacks {', '.join(missing)}: {remedy}")
+    if wrong := [key for key, kind in REQUIRED.items() if not isinstance(header[key], kind)]:
+        raise RecordError(f"the header of {path} has {', '.join(wrong)} of another type than expected: {remedy}")
     if header["checksum"] != checksum(arrays):
         raise RecordError(f"the arrays of {path} do not match their checksum: {remedy}")
     if header["config_hash"] != config_hash(header["config"]):
         raise RecordError(f"the config of {path} does not match its hash: {remedy}")
     return Record(header, arrays, path)
+
+
+def _parse(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return header and arrays of a file, whatever they say; raises anything where it is not such a file."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name.removesuffix(".npy"): archive.read(name) for name in archive.namelist()}
+    arrays = {name: np.lib.format.read_array(io.BytesIO(content)) for name, content in members.items()}
+    header = json.loads(arrays.pop(HEADER).tobytes())
+    if not isinstance(header, dict):
+        raise ValueError("its header is no table")
+    return header, arrays
 
 
 def find(experiment: str, config: Any = None, *, name: str | None = None, folder: Path | None = None) -> list[Record]:
