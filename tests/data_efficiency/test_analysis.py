@@ -1,6 +1,7 @@
 """Learning curves: what counts as solved and kept, verdicts that follow their rules, pictures that show the numbers."""
 
 from dataclasses import asdict
+from xml.etree import ElementTree
 
 import matplotlib
 import numpy as np
@@ -11,6 +12,7 @@ import matplotlib.pyplot as plt
 
 from dropout_uncertainty import records
 from dropout_uncertainty.data_efficiency import analysis, figures
+from dropout_uncertainty.data_efficiency.animation import SwingUp
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER
 from dropout_uncertainty.data_efficiency.claims import CLAIMS
 from dropout_uncertainty.data_efficiency.experiment import PILCO_PAPER
@@ -165,3 +167,20 @@ def test_the_drawn_pole_is_to_scale(plant):
 def test_plant_of_a_record_is_that_of_its_config(tmp_path):
     plant = analysis.load("pilco-paper", write(tmp_path, [3])).plant
     assert asdict(plant) == asdict(PAPER)
+
+
+def test_the_moving_picture_holds_every_state_and_loads_nothing():
+    states = np.zeros((STEPS + 1, 4))
+    states[:, 0], states[:, 3] = np.linspace(0, 0.5, STEPS + 1), np.linspace(np.pi, 0, STEPS + 1)
+    picture = SwingUp(PAPER, {"trial 1": states, "a < b": states})._repr_html_()
+    assert "http" not in picture
+    assert "<script" not in picture
+    tree = ElementTree.fromstring(picture)
+    moves = [m.get("values").split(";") for m in tree.iter("animateTransform")]
+    assert [len(values) for values in moves] == [STEPS + 1] * 4
+    assert moves[0][-1] == "50.0,0"
+    assert moves[1][0] == "-180.0"
+    assert {m.get("dur") for m in tree.iter("animateTransform")} == {"2.5s"}
+    assert len(picture) < 10_000
+    with pytest.raises(ValueError, match=r"expected states of shape \(26, 4\)"):
+        SwingUp(PAPER, {"short": states[:3]})

@@ -185,9 +185,10 @@ def predicted_and_realised(ax: Axes, learning: Learning, trials: Sequence[int]) 
         x, y = learning.predicted_costs[:, trial], learning.trial_costs[:, trial]
         ax.scatter(x, y, s=26, color=COLOURS["pilco"], alpha=shade, edgecolors="none", label=f"trial {trial}")
     ax.plot([0, 1], [0, 1], color=DARK, linewidth=0.8)
-    limits = (0.9 * min(ax.dataLim.x0, ax.dataLim.y0, 0.4), 1.02)
+    low = min(learning.predicted_costs[:, list(trials)].min(), learning.trial_costs[:, list(trials)].min())
+    limits = (0.9 * low, 1.02)
     ax.set(xlim=limits, ylim=limits, xlabel="predicted cost per step", ylabel="realised cost per step", aspect="equal")
-    ax.legend(fontsize=9)
+    ax.legend(fontsize=9, loc="lower right")
     return ax
 
 
