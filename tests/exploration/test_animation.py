@@ -140,6 +140,16 @@ def test_published_agents_play_side_by_side_in_the_same_world():
     assert len(page) + 140 * growth < 300_000  # with 150 frames
 
 
+def test_compare_finds_published_agents_and_names_the_command_for_missing_ones(tmp_path):
+    player = animation.compare(["ours-thompson", "ours-epsilon-greedy"], seed=101, ticks=8)
+    agent = TrainedAgent(records.find("exploration", OURS["epsilon-greedy"])[0])
+    expected = run(agent, 101, ticks=8)[-1].scene
+    body = player.frames[-1][-1].attributes
+    assert (body["cx"], body["cy"]) == (round(760 + expected.x[0], 1), round(50 + expected.y[0], 1))
+    with pytest.raises(records.RecordError, match="run exploration --config ours-boltzmann --seeds 0-9"):
+        animation.compare(["ours-boltzmann"], folder=tmp_path)
+
+
 def test_misuse_is_named(record):
     with pytest.raises(ValueError, match="2 seeds and 2 agents, not of seed number 2, agent 0"):
         TrainedAgent(record, 2)

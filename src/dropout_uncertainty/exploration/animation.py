@@ -2,25 +2,26 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
-from dropout_uncertainty import rng
+from dropout_uncertainty import records, rng
 from dropout_uncertainty.exploration import world as w
 from dropout_uncertainty.exploration.agent import ACTION_SCALE, CHUNK, ONE_HOT, STATE_SIZE
 from dropout_uncertainty.exploration.analysis import LABELS
 from dropout_uncertainty.exploration.drawing import KIND_COLOURS, Scene, rollout
-from dropout_uncertainty.exploration.experiment import CONFIGS, make_policy
+from dropout_uncertainty.exploration.experiment import CONFIGS, EXPERIMENT, make_policy
 from dropout_uncertainty.exploration.policies import Chance
 from dropout_uncertainty.exploration.q_network import MaskStream, QNetwork
 from dropout_uncertainty.player import Player, Shape, circle, line, polygon, text
 from dropout_uncertainty.plotting import COLOURS
 from dropout_uncertainty.records import Record, RecordError, config_hash
 
-__all__ = ["Moment", "TrainedAgent", "animation", "run"]
+__all__ = ["Moment", "TrainedAgent", "animation", "compare", "run"]
 
 C = len(w.ACTIONS)
 #: Space around a drawing of the world and above it [px], for its title.
@@ -112,6 +113,26 @@ def run(agent: TrainedAgent, seed: int = 100, ticks: int = 600, every: int = 4) 
         if world.clock % every == 0:
             moments.append(Moment(Scene.of(world), world.clock, food, poison, total))
     return moments
+
+
+def compare(names: Sequence[str], *, seed: int = 100, ticks: int = 600, folder: Path | None = None) -> Player:
+    """Return an animation of the recorded agents of some configs, of the first seed, in worlds that ``seed`` lays out.
+
+    Each agent has a world for itself here, even where several shared one in training.
+
+    Raises:
+        RecordError: if a config has no record.
+    """
+    runs = {}
+    for name in names:
+        published = [r for r in records.find(EXPERIMENT, name=name, folder=folder) if max(r.seeds) < 100]
+        if not published:
+            command = f"dropout-uncertainty run {EXPERIMENT} --config {name} --seeds 0-9"
+            raise RecordError(f"there is no record of {EXPERIMENT}/{name}: `{command}` makes it")
+        for number in range(published[0].arrays["weights"].shape[1]):
+            agent = TrainedAgent(published[0], agent=number)
+            runs[agent.name] = run(agent, seed, ticks)
+    return animation(runs)
 
 
 def animation(runs: Mapping[str, Sequence[Moment]], *, rate: float = 15.0) -> Player:
