@@ -127,6 +127,20 @@ def test_any_executor_gives_the_same_records(tmp_path, executor):
         np.testing.assert_array_equal(record.arrays["path"][0], together.arrays["path"][replica])
 
 
+def test_records_made_on_another_disk_are_brought_here(tmp_path):
+    class Elsewhere(ThreadPoolExecutor):
+        def submit(self, function, unit, folder):
+            return super().submit(function, unit, tmp_path / "elsewhere")
+
+    units = [replace(toy.unit(), seeds=(seed,)) for seed in (100, 101)]
+    runs.run_unit(units[0], tmp_path)
+    with Elsewhere(1) as pool:
+        found = runs.run(units, executor=pool, folder=tmp_path, progress=False)
+    assert [record.path.parents[2] for record in found] == [tmp_path, tmp_path]
+    assert [path.name for path in (tmp_path / "elsewhere").rglob("*.npz")] == ["101.npz"], "what is here is not sent"
+    assert records.verify(tmp_path / "toy") == [(record.path, None) for record in found]
+
+
 def test_devices_and_precisions():
     assert runs.check_device("cpu") == "cpu"
     with pytest.raises(RunError, match="unknown device"):

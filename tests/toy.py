@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import torch
 
-from dropout_uncertainty import rng
+from dropout_uncertainty import rng, runs
 from dropout_uncertainty.runs import Unit
 
 
@@ -44,3 +44,7 @@ def start(config, seeds, *, device="cpu", precision="float64"):
 
 def unit(**config):
     return Unit("toy", "walk", start, Walk(**config), (100, 101))
+
+
+def checkpoint_often():
+    runs.CHECKPOINT_SECONDS = -1.0

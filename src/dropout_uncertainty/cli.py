@@ -71,11 +71,16 @@ def run(
     device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
     precision: Annotated[str | None, typer.Option(help="float64, float32 or bfloat16; default: the section's")] = None,
     workers: Annotated[int, typer.Option(help="processes, one thread each", min=1)] = 1,
+    scheduler: Annotated[str | None, typer.Option(help="of a Dask cluster to use, such as tcp://host:8786")] = None,
 ) -> None:
     """Compute the missing records of an experiment; a run that was stopped continues where it was."""
     from dropout_uncertainty import runs
 
-    options: dict[str, Any] = {"device": runs.check_device(device)}
+    if scheduler is not None:
+        if workers > 1:
+            raise UserError("--workers are processes of this machine, --scheduler has workers of its own: choose one")
+        device = known({"auto": "cpu"}.get(device, device), ("cpu", "cuda"), "device")  # of the cluster's workers
+    options: dict[str, Any] = {"device": runs.check_device(device) if scheduler is None else device}
     if precision is not None:
         runs.precision_dtype(precision)
         options["precision"] = precision
@@ -85,7 +90,12 @@ def run(
     # Seed by seed, so that every config has its first repetition before any has its second.
     by_seed = zip(*([unit for unit in modules[name].units(name, numbers, **options)] for name in names), strict=True)
     units = [unit for group in by_seed for unit in group]
-    with runs.processes(workers) if workers > 1 else contextlib.nullcontext() as executor:
+    context: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
+    if scheduler is not None:
+        context = runs.cluster(scheduler)
+    elif workers > 1:
+        context = runs.processes(workers)
+    with context as executor:
         for record in runs.run(units, executor=executor):
             typer.echo(record.path)
 

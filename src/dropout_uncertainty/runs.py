@@ -12,7 +12,7 @@ import os
 import pickle
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -26,10 +26,14 @@ from dropout_uncertainty import records
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.records import Record, RecordError
 
-__all__ = ["Process", "RunError", "Unit", "check_device", "precision_dtype", "processes", "run", "run_unit"]
+__all__ = [
+    "Process", "RunError", "Unit", "check_device", "cluster", "precision_dtype", "processes", "run", "run_unit",
+]  # fmt: skip
 
 #: Seconds between checkpoints; a kill loses at most this much work and the step under way.
 CHECKPOINT_SECONDS = 20.0
+#: Seconds to wait for a scheduler's answer.
+CONNECT_SECONDS = 5.0
 PRECISIONS = {"float64": torch.float64, "float32": torch.float32, "bfloat16": torch.bfloat16}
 
 
@@ -112,7 +116,7 @@ def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False) -> 
         RecordError: if the record cannot be read or written.
     """
     folder = folder or records.root()
-    path = folder / f"{unit.label}.npz"
+    path = _path(unit, folder)
     if path.exists():
         return _existing(path, unit)
     partial = folder / ".partial" / f"{unit.label.replace('/', '--')}-{_digest(unit)}.pt"
@@ -135,18 +139,23 @@ def run(
 ) -> list[Record]:
     """Return the records of all units, in their order; units that have one are not computed again.
 
-    Any ``concurrent.futures`` executor will do; without one the units run here, one after the other.
+    Any ``concurrent.futures`` executor will do; without one the units run here, one after the other. Records made on
+    machines that do not share this one's disk are written here.
     """
     units = list(units)
     if executor is None:
         return [run_unit(unit, folder, progress) for unit in units]
-    futures = {executor.submit(run_unit, unit, folder): unit for unit in units}
-    with tqdm(total=len(units), unit="unit", disable=not progress) as bar:
+    here = folder or records.root()
+    missing = [unit for unit in units if not _path(unit, here).exists()]
+    futures = {executor.submit(run_unit, unit, folder): unit for unit in missing}
+    with tqdm(total=len(units), initial=len(units) - len(missing), unit="unit", disable=not progress) as bar:
         for future in as_completed(futures):
-            future.result()
+            record, path = future.result(), _path(futures[future], here)
+            if not path.exists():  # computed on a machine that does not share our disk
+                records.write(path, record.arrays, record.header)
             bar.set_postfix_str(futures[future].label)
             bar.update()
-    return [future.result() for future in futures]
+    return [run_unit(unit, folder) for unit in units]
 
 
 def processes(workers: int | None = None) -> ProcessPoolExecutor:
@@ -154,6 +163,40 @@ def processes(workers: int | None = None) -> ProcessPoolExecutor:
     # Spawned, because a fork of a process that has started threads can hang.
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers or os.cpu_count(), context, initializer=torch.set_num_threads, initargs=(1,))
+
+
+@contextlib.contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """Give an executor that sends units to the workers of a Dask cluster with a scheduler at ``address``.
+
+    A unit whose worker is lost goes to another one, which continues from the checkpoint if it shares the disk.
+
+    Raises:
+        RunError: if dask.distributed is not installed, no scheduler answers, it goes away, or a unit loses its workers
+            again and again.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise RunError("a Dask cluster needs the extra cluster: `pip install -e '.[cluster]'`") from None
+    try:
+        client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise RunError(f"no Dask scheduler answers at {address}: is it running, and is the address right?") from error
+    with client:
+        if not client.nthreads():
+            tqdm.write(f"the scheduler at {address} has no workers yet: units wait for one")
+        try:
+            # Not pure: a unit that failed is tried again when it is asked for again.
+            yield client.get_executor(pure=False)
+        except distributed.KilledWorker as error:
+            raise RunError(f"workers died again and again of one unit; is their memory enough? {error}") from error
+        except CancelledError:
+            raise RunError(f"the scheduler at {address} is gone; the same command continues with another") from None
+
+
+def _path(unit: Unit, folder: Path) -> Path:
+    return folder / f"{unit.label}.npz"
 
 
 def _existing(path: Path, unit: Unit) -> Record:
