@@ -1,8 +1,8 @@
 """BFGS with the careful steps of the original PILCO code: no line search begins further than one unit away.
 
-The predicted cost of a trial has many valleys. A controller that spins the pole for ever lies in one of them, and a
-quasi-Newton step of free length finds it easily; short steps stay in the valley that the expected cost opens first.
-The rules are those of pilco-matlab, util/minimize.m, and give the same sequence of values.
+The predicted cost of a trial has many valleys; a controller that spins the pole for ever lies in one of them. Which
+is reached depends on the steps of the optimiser, so these follow the rules of pilco-matlab, util/minimize.m, and give
+the same sequence of values.
 """
 
 import math
