@@ -109,6 +109,9 @@ def test_small_book_from_interrupted_run_to_html(small_book, monkeypatch, capsys
     executed = nbformat.read(folder / "_build/notebooks/one.ipynb", as_version=4)
     assert executed.cells[3].outputs[0].text == "quick [1, 'two'] notebooks\n"
     assert str(folder) not in (folder / "_build/notebooks/one.ipynb").read_text()
+    took = book.times()["quick"]["one"]
+    assert took["seconds"] > took["cpu_seconds"] / took["cores"] > 0
+    assert 20 < took["megabytes"] < 2000
     text = " ".join(BeautifulSoup((folder / "_build/html/one.html").read_text(), "html.parser").get_text().split())
     assert "Figure 5.1 A line." in text
     assert "Algorithm 3 (Steps)" in text

@@ -6,7 +6,7 @@ import pytest
 from dropout_uncertainty import records
 from dropout_uncertainty.active_learning.analysis import load_rows, original_rows
 from dropout_uncertainty.active_learning.experiment import CONFIGS
-from dropout_uncertainty.claims import CLAIMS
+from dropout_uncertainty.claims import CLAIMS, WAITING, collect
 from dropout_uncertainty.results import combine, direction, same_value, thesis_value
 from dropout_uncertainty.stats import Interval
 
@@ -100,6 +100,30 @@ def test_the_rules():
     assert combine(["replicated", "not replicated"]) == "partly"
     assert combine(["replicated", "undecided"]) == "undecided"
     assert combine([]) == "undecided"
+
+
+def test_all_claims_are_there_in_order_and_each_once():
+    expected = [*(f"AL{i}" for i in range(1, 10)), *(f"EX{i}" for i in range(1, 7)), *(f"DE{i}" for i in range(1, 12))]
+    assert list(CLAIMS) == expected
+    double = [claim.id for claim in WAITING if CLAIMS[claim.id] is not claim]
+    assert not double, f"these have code now, so take them out of WAITING: {double}"
+
+
+def test_without_records_every_claim_is_undecided_and_says_why(tmp_path):
+    for claim in CLAIMS.values():
+        judgement = claim.judge(tmp_path)
+        assert judgement.verdict == "undecided", claim.id
+        assert any(part.interval.n == 0 for part in judgement.parts), claim.id
+    verdicts = {result.id: result.verdict for result in collect(tmp_path) if result.id.startswith("claim/")}
+    assert verdicts == {f"claim/{name}": "undecided" for name in CLAIMS}
+
+
+#: What the published records say. Where this changes, prose about it must be read again.
+PINNED = {"EX1": "replicated", "EX2": "partly", "EX3": "partly", "EX4": "partly"}
+
+
+def test_published_verdicts_are_what_the_prose_was_written_for():
+    assert {name: CLAIMS[name].judge().verdict for name in PINNED} == PINNED
 
 
 def test_every_claim_says_where_and_how():

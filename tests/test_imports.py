@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "src" / "dropout_uncertainty"
-FOR_READERS = {"book", "sphinx_ext", "display", "plotting", "figures", "animation", "gymnasium_env"}
+FOR_READERS = {"book", "scoreboard", "sphinx_ext", "display", "plotting", "figures", "animation", "gymnasium_env"}
 UNWANTED = ["matplotlib", "IPython", "ipykernel", "papermill", "nbformat", "sphinx", "markdown_it", "pandas"]
 
 

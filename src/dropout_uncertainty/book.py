@@ -6,19 +6,24 @@ executed notebooks side by side) and ``html/``. What an interrupted run leaves b
 
 import ast
 import contextlib
+import json
+import os
 import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock, Timeout
 
+from dropout_uncertainty import records
 from dropout_uncertainty.errors import UserError
 
-__all__ = ["PROFILES", "BookError", "build", "notebooks", "run_notebooks"]
+__all__ = ["PROFILES", "BookError", "build", "notebooks", "run_notebooks", "times"]
 
 PROFILES = ("recorded", "quick", "full")
 
@@ -27,6 +32,9 @@ NOTEBOOKS, PROSE, CONFIG = Path("notebooks"), Path("book"), Path("_config.yml")
 BUILD = Path("_build")
 EXECUTED, RUNNING, SOURCE, HTML = BUILD / "notebooks", BUILD / "running", BUILD / "source", BUILD / "html"
 LOG = BUILD / "jupyter-book.log"
+TIMES = BUILD / "times.json"
+#: The notebook that shows what the others took, and runs after them.
+LAST = "scoreboard"
 
 
 class BookError(UserError):
@@ -34,8 +42,20 @@ class BookError(UserError):
 
 
 def notebooks() -> list[str]:
-    """Return the names of the notebooks of the repository, without suffix, in alphabetical order."""
-    return sorted(path.stem for path in (_repository() / NOTEBOOKS).glob("*.ipynb"))
+    """Return the names of the notebooks of the repository, without suffix, in the order in which they run."""
+    names = [path.stem for path in (_repository() / NOTEBOOKS).glob("*.ipynb")]
+    return sorted(names, key=lambda name: (name == LAST, name))
+
+
+def times() -> dict[str, dict[str, dict[str, Any]]]:
+    """Return what the last run of each notebook in each profile took here, by profile and name.
+
+    Each has ``seconds``, ``cpu_seconds``, ``megabytes`` (the most that the notebook and its workers held at once),
+    ``processor``, ``cores`` and ``date``.
+    """
+    with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
+        return json.loads((_repository() / TIMES).read_text(encoding="utf-8"))
+    return {}
 
 
 def run_notebooks(profile: str = "recorded", names: Sequence[str] | None = None) -> dict[str, float]:
@@ -93,16 +113,17 @@ def _execute(name: str, profile: str) -> float:
     # every parameter is injected, so that the page can show the injected cell alone
     known = papermill.inspect_notebook(str(source))
     parameters = {key: ast.literal_eval(value["default"]) for key, value in known.items()} | {"profile": profile}
-    begin = time.monotonic()
+    begin, worked = time.monotonic(), _cpu_seconds()
     try:
-        papermill.execute_notebook(
-            str(source),
-            str(running),
-            parameters,
-            cwd=str(NOTEBOOKS),  # as in JupyterLab
-            progress_bar=sys.stderr.isatty(),
-            extra_arguments=["--log-level=ERROR"],  # the kernel warns of every connection that is not encrypted
-        )
+        with _peak_megabytes() as peak:
+            papermill.execute_notebook(
+                str(source),
+                str(running),
+                parameters,
+                cwd=str(NOTEBOOKS),  # as in JupyterLab
+                progress_bar=sys.stderr.isatty(),
+                extra_arguments=["--log-level=ERROR"],  # the kernel warns of every connection that is not encrypted
+            )
     except papermill.PapermillExecutionError as error:
         # counted from 0 with the injected cell, this is the number from 1 without it
         first_line = next(iter(error.source.strip().splitlines()), "")
@@ -113,8 +134,48 @@ def _execute(name: str, profile: str) -> float:
         raise BookError(f"{source} could not be run to its end: {error}") from error
     running.replace(EXECUTED / running.name)
     seconds = time.monotonic() - begin
+    _note(profile, name, seconds=seconds, cpu_seconds=_cpu_seconds() - worked, megabytes=max(peak))
     print(f"{source} ran in profile {profile}: {_duration(seconds)}", flush=True)
     return seconds
+
+
+def _note(profile: str, name: str, **took: float) -> None:
+    """Keep what a notebook took for the page that shows it."""
+    origin = records.provenance()
+    found = times()
+    entry = {**took, "cores": os.cpu_count(), "processor": origin["processor"], "date": origin["date"]}
+    found.setdefault(profile, {})[name] = entry
+    TIMES.write_text(json.dumps(found, indent=1, sort_keys=True), encoding="utf-8")
+
+
+def _cpu_seconds() -> float:
+    """Return the CPU time of all processes that this one has started and that have ended."""
+    took = os.times()
+    return took.children_user + took.children_system
+
+
+@contextlib.contextmanager
+def _peak_megabytes() -> Iterator[list[float]]:
+    """Give a list of what the processes below this one hold together, looked at five times a second."""
+    import psutil
+
+    held, over = [0.0], threading.Event()
+
+    def watch() -> None:
+        while not over.wait(0.2):
+            total = 0
+            for process in psutil.Process().children(recursive=True):
+                with contextlib.suppress(psutil.Error):  # it has just ended
+                    total += process.memory_info().rss
+            held.append(total / 1e6)
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield held
+    finally:
+        over.set()
+        watcher.join()
 
 
 def _papermill() -> tuple:

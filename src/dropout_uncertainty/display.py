@@ -9,7 +9,7 @@ from markdown_it import MarkdownIt
 
 from dropout_uncertainty.records import Record
 
-__all__ = ["Rendered", "Table", "provenance"]
+__all__ = ["Folded", "Rendered", "Table", "command", "provenance"]
 
 
 class Rendered:
@@ -54,6 +54,23 @@ class Table(Rendered):
         super().__init__(markdown, heading + _markdown().render(grid))
 
 
+class Folded(Rendered):
+    """Something that shows its title only until it is clicked at.
+
+    Args:
+        title: one line of plain text.
+        body: Markdown, or what has ``markdown`` and ``html``.
+    """
+
+    def __init__(self, title: str, body: Rendered | str) -> None:
+        if isinstance(body, str):
+            body = Rendered(body, _markdown().render(body))
+        super().__init__(
+            f"````{{dropdown}} {title}\n{body.markdown}\n````",
+            f"<details><summary>{escape(title)}</summary>\n{body.html}</details>",
+        )
+
+
 def provenance(records: Sequence[Record], profile: str = "recorded") -> Rendered:
     """Return the line that says where numbers come from, with the details folded away.
 
@@ -68,9 +85,14 @@ def provenance(records: Sequence[Record], profile: str = "recorded") -> Rendered
     names = dict.fromkeys((record.header["experiment"], record.header["name"]) for record in records)
     groups = [[r for r in records if (r.header["experiment"], r.header["name"]) == name] for name in names]
     title = f"Where these numbers come from: profile {profile}; {_origin(records)}"
-    body = "\n\n".join(map(_details, groups))
-    markdown = f"````{{dropdown}} {title}\n{body}\n````"
-    return Rendered(markdown, f"<details><summary>{escape(title)}</summary>\n{_markdown().render(body)}</details>")
+    return Folded(title, "\n\n".join(map(_details, groups)))
+
+
+def command(records: Sequence[Record]) -> str:
+    """Return the command that makes records of one named config."""
+    header = records[0].header
+    seeds = _ranges(sorted({seed for record in records for seed in record.seeds}))
+    return f"dropout-uncertainty run {header['experiment']} --config {header['name']} --seeds {seeds}"
 
 
 def _origin(records: Sequence[Record]) -> str:
@@ -93,13 +115,11 @@ def _origin(records: Sequence[Record]) -> str:
 def _details(records: Sequence[Record]) -> str:
     """Return command, files and config of the records of one named config as Markdown."""
     header = records[0].header
-    seeds = _ranges(sorted({seed for record in records for seed in record.header["seeds"]}))
-    command = f"dropout-uncertainty run {header['experiment']} --config {header['name']} --seeds {seeds}"
     files = ", ".join(f"`{record.label}`" for record in records)
     config = json.dumps(header["config"], indent=1, ensure_ascii=False)
     return (
         f"**{header['experiment']}/{header['name']}**: {_origin(records)}. Files: {files}.\n\n"
-        f"```console\n$ {command}\n```\n\n```json\n{config}\n```"
+        f"```console\n$ {command(records)}\n```\n\n```json\n{config}\n```"
     )
 
 

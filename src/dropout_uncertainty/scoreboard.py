@@ -1,0 +1,112 @@
+"""What the scoreboard shows: verdicts with one sentence each, what stands behind them, what records and pages took."""
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any, get_args
+
+from dropout_uncertainty.claims import SECTIONS
+from dropout_uncertainty.display import command
+from dropout_uncertainty.records import Record
+from dropout_uncertainty.results import MIN_REPETITIONS, Claim, Judgement, Verdict
+
+__all__ = ["VERDICTS", "behind", "costs", "run_times", "sentence", "tally", "verdicts"]
+
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
+
+Cells = tuple[list[str], list[list[Any]]]
+
+
+def tally(judged: Sequence[Judgement]) -> Cells:
+    """Return how many claims of each section have which verdict, as heads and rows of a table."""
+    rows = []
+    for letters, title in [*SECTIONS.items(), ("", "all")]:
+        counts = Counter(j.verdict for j in judged if j.claim.id.startswith(letters))
+        rows.append([title, *(counts[verdict] for verdict in VERDICTS), counts.total()])
+    return ["section", *VERDICTS, "claims"], rows
+
+
+def verdicts(judged: Sequence[Judgement]) -> Cells:
+    """Return one row per claim: id, text, where it stands, verdict and why."""
+    heads = ["", "claim", "where", "verdict", "because"]
+    return heads, [[j.claim.id, j.claim.text, _where(j.claim), f"**{j.verdict}**", sentence(j)] for j in judged]
+
+
+def sentence(judgement: Judgement) -> str:
+    """Return why a claim has its verdict: its parts if they are few, else how many of them came out how."""
+    parts = judgement.parts
+    if not any(part.interval.n for part in parts):
+        return "No records yet."
+    if len(parts) <= 2:
+        return judgement.sentence
+    counts = Counter(part.verdict for part in parts)
+    text = f"{len(parts)} parts: " + ", ".join(f"{counts[v]} {v}" for v in VERDICTS if counts[v])
+    missing = sum(part.interval.n == 0 for part in parts)
+    few = sum(0 < part.interval.n < MIN_REPETITIONS for part in parts)
+    reasons = [f"no records yet for {missing}"] * (missing > 0)
+    reasons += [f"fewer than {MIN_REPETITIONS} repetitions for {few}"] * (few > 0)
+    return text + (f" ({'; '.join(reasons)})." if reasons else ".")
+
+
+def behind(judged: Sequence[Judgement]) -> Cells:
+    """Return one row per claim: its rule, all its parts, the record files and the commands that make them."""
+    rows = []
+    for j in judged:
+        groups = [list(group) for _, group in groupby(j.records, lambda record: record.label.rsplit("/", 1)[0])]
+        files = [f"`records/{group[0].label}`" + "".join(f", `{r.path.name}`" for r in group[1:]) for group in groups]
+        parts = "; ".join(map(str, j.parts))
+        rows.append([j.claim.id, j.claim.rule, parts, "; ".join(files), "; ".join(f"`{command(g)}`" for g in groups)])
+    return ["", "rule", "parts", "records", "made by"], rows
+
+
+def _where(claim: Claim) -> str:
+    """Return the place in the thesis, with links to figures and tables of the book, and the chapter."""
+    notebook = NOTEBOOKS / f"{claim.chapter}.ipynb"
+    if not notebook.exists():
+        return claim.where
+    labels = set(re.findall(r"\b(?:fig|tab)-5-\d+\b", notebook.read_text(encoding="utf-8")))
+
+    def link(match: re.Match) -> str:
+        label = f"{match[1][:3].lower()}-5-{match[2]}"
+        return f"[{match[0]}](#{label})" if label in labels else match[0]
+
+    place = re.sub(r"(Figure|Table) 5\.(\d+)", link, claim.where)
+    return f"{place} ([chapter]({claim.chapter}.ipynb))"
+
+
+def costs(found: Sequence[Record]) -> Cells:
+    """Return what records took: one row per named config and kind of device, and one for all of an experiment."""
+    heads = ["experiment", "config", "repetitions", "core-minutes each", "core-hours", "GPU-minutes each", "on"]
+    rows = []
+    for experiment, same in groupby(found, lambda record: record.header["experiment"]):
+        records = sorted(same, key=lambda record: (record.header["name"], record.header["device"]))
+        for (name, device), group in groupby(records, lambda r: (r.header["name"], r.header["device"])):
+            rows.append([experiment, name, *_cost(list(group), device)])
+        rows.append([experiment, "**all**", *_cost(records, None)])
+    return heads, rows
+
+
+def _cost(found: Sequence[Record], device: str | None) -> list[Any]:
+    """Return the last cells of a row of ``costs``; without a device only sums."""
+    seeds = sum(len(record.seeds) for record in found)
+    cpu = sum(r.header["provenance"]["cpu_s"] for r in found if r.header["device"] == "cpu")
+    gpu = sum(r.header["provenance"]["wall_s"] for r in found if r.header["device"] == "cuda")
+    on = ", ".join(dict.fromkeys(record.header["provenance"]["processor"] for record in found))
+    each = [f"{cpu / 60 / seeds:.1f}" if device == "cpu" else None, f"{cpu / 3600:.2f}"]
+    return [seeds, *each, f"{gpu / 60 / seeds:.1f}" if device == "cuda" else None, on]
+
+
+def run_times(times: Mapping[str, Mapping[str, Mapping[str, Any]]], names: Sequence[str]) -> Cells:
+    """Return what the last run of each notebook in each profile took, from ``book.times()``."""
+    heads = ["notebook", "profile", "seconds", "CPU seconds", "memory in MB", "machine", "date"]
+    rows = []
+    for name in names:
+        for profile, of_profile in times.items():
+            if name in of_profile:
+                took = of_profile[name]
+                numbers = [round(took[key]) for key in ("seconds", "cpu_seconds", "megabytes")]
+                rows.append([name, profile, *numbers, f"{took['cores']} × {took['processor']}", took["date"][:10]])
+    return heads, rows
