@@ -16,8 +16,9 @@ from dropout_uncertainty.results import Result, measured, thesis_value
 from dropout_uncertainty.stats import Interval, bootstrap_interval, first_crossing, paired_difference, t_interval
 
 __all__ = [
-    "BLOCKS", "BURN_IN", "LABELS", "TARGET", "Agents", "Curves", "advantage", "batches", "block_table", "check_quick",
-    "compare", "crossing_table", "from_arrays", "from_record", "held_out_gap", "load", "median", "original", "results",
+    "BLOCKS", "BURN_IN", "EARLY", "LABELS", "LATE", "TARGET", "Agents", "Curves", "advantage", "batches", "block_table",
+    "check_quick", "compare", "crossing_table", "difference_table", "from_arrays", "from_record", "held_out_gap",
+    "held_out_table", "load", "median", "original", "results",
 ]  # fmt: skip
 
 #: How each agent is called in figures and tables.
@@ -34,6 +35,8 @@ TARGET = 1.0
 BURN_IN = CONFIGS["as-demo"].burn_in
 #: Ranges of ticks, open below, over which curves are averaged to compare them with those of the original program.
 BLOCKS = ((3_000, 15_500), (15_500, 50_000), (50_000, 90_500), (90_500, 200_000))
+#: Ranges of ticks over which policies are compared (claim EX5).
+EARLY, LATE = (BURN_IN, 50_000), BLOCKS[-1]
 
 
 @dataclass(frozen=True)
@@ -270,4 +273,23 @@ def block_table(
             means = [curves.mean(*block) for block in blocks]
             shown = [_cell(t_interval(m[~np.isnan(m)]), 3) if not np.isnan(m).all() else None for m in means]
             cells.append([curves.label, group, *shown])
+    return heads, cells
+
+
+def difference_table(agents: Agents, reference: str) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: mean reward of each agent minus that of a reference, early and late, paired by seed."""
+    last = int(agents[reference].ticks[-1])
+    ranges = [ticks for ticks in (EARLY, LATE) if ticks[0] < last]
+    heads = ["", *(f"ticks {start:,} to {min(stop, last):,}" for start, stop in ranges)]
+    others = [curves for name, curves in agents.items() if name != reference]
+    return heads, [[c.label, *(_cell(compare(c, agents[reference], *ticks), 3) for ticks in ranges)] for c in others]
+
+
+def held_out_table(networks: Mapping[str, Curves]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: squared TD errors and reward of networks by name, over the second half of their runs."""
+    heads = ["", "learned", "held out", "held out - learned", "reward"]
+    cells: list[list[object]] = []
+    for name, curves in networks.items():
+        parts = [curves.later("learned_td_error"), curves.later("held_out_td_error"), held_out_gap(curves)]
+        cells.append([name, *(_cell(t_interval(part), 3) for part in [*parts, curves.later("reward")])])
     return heads, cells

@@ -9,6 +9,8 @@ from dropout_uncertainty.exploration.analysis import (
     BLOCK,
     BLOCKS,
     BURN_IN,
+    EARLY,
+    LATE,
     Agents,
     Curves,
     advantage,
@@ -28,7 +30,6 @@ __all__ = ["CLAIMS"]
 
 #: Where agents live, in words, and the config of the records.
 WORLDS = {"separate worlds": "ours", "one world": "as-demo"}
-EARLY, LATE = (BURN_IN, 50_000), BLOCKS[-1]
 
 
 class Loaded:
@@ -214,9 +215,8 @@ def ex6(loaded: Loaded) -> list[Part]:
     if None in found:
         return [missing("networks of two widths, with and without dropout")]
     narrow, wide, dropout = (curves[0] for curves in found if curves)
-    end = int(wide.ticks[-1])
     gaps = {name: held_out_gap(curves) for name, curves in (("narrow", narrow), ("wide", wide), ("dropout", dropout))}
-    rewards = [curves.mean(end // 2, end, "reward") for curves in (dropout, narrow)]
+    rewards = [curves.later("reward") for curves in (dropout, narrow)]
     errors = [curves.later("held_out_td_error") for curves in (dropout, narrow)]
     return [
         part("over-fitting, wide - narrow", paired_difference(gaps["wide"], gaps["narrow"]), "", "positive"),

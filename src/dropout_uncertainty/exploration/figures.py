@@ -32,7 +32,7 @@ def learning_curves(ax: Axes, agents: Mapping[str, Curves], *, original: Mapping
     ticks = ax.secondary_xaxis("top", functions=(from_batches, batches))  # type: ignore[arg-type]
     ticks.set_xscale("log")
     shown = [t for t in (5e3, 1e4, 2e4, 5e4, 1e5, 2e5, 5e5, 1e6) if t <= BURN_IN + BLOCK * ax.get_xlim()[1]]
-    ticks.set_xticks(shown, [f"{tick / 1000:g}k" for tick in shown])
+    ticks.set_xticks(shown, [f"{tick / 1e3:g}k" if tick < 1e6 else f"{tick / 1e6:g}M" for tick in shown])
     ticks.set_xticks([], minor=True)
     ticks.set_xlabel("ticks")
     ax.legend(loc="lower right", fontsize=9)
