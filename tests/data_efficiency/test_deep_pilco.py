@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from dropout_uncertainty.data_efficiency import deep_pilco
+from dropout_uncertainty.data_efficiency import deep_pilco, particles
 from dropout_uncertainty.data_efficiency.cartpole import PAPER, features
 from dropout_uncertainty.data_efficiency.controllers import force
 from dropout_uncertainty.data_efficiency.cost import cost
-from dropout_uncertainty.data_efficiency.deep_pilco import Draws, Planning, RBFShape
+from dropout_uncertainty.data_efficiency.deep_pilco import Planning, RBFShape
 from dropout_uncertainty.data_efficiency.dropout_dynamics import DrawnFunction, DropoutDynamics
+from dropout_uncertainty.data_efficiency.particles import Draws
 from dropout_uncertainty.rng import generator
 
 PLANT = replace(PAPER, steps=5, solved_steps=2)
@@ -57,7 +58,7 @@ class TestLinearGaussian:
         function = DrawnFunction((change,), (torch.zeros(1, 1, 4).double(),), angle_features=False)
         controller = SHAPE.controller(policies((100,)))
         draws = Draws(self.start, (function,), white[:, 1:])
-        return deep_pilco.predict(controller, replace(PLANT, steps=steps), draws, matching)
+        return particles.predict(controller, replace(PLANT, steps=steps), draws, matching)
 
     def test_full_matching_gives_the_exact_moments(self):
         found = self.predict("full")
@@ -99,20 +100,20 @@ def particle_by_particle(made, masks, controller, start, noise, matching):
         variances.append(cov.diagonal())
         if matching == "full":
             variance = cov.diagonal()
-            cov = cov + np.diag(deep_pilco.JITTER + deep_pilco.RELATIVE_JITTER * variance)
+            cov = cov + np.diag(particles.JITTER + particles.RELATIVE_JITTER * variance)
             moved = moved.mean(0) + noise[t].numpy() @ np.linalg.cholesky(cov).T
         elif matching == "diagonal":
-            moved = moved.mean(0) + noise[t].numpy() * np.sqrt(cov.diagonal() + deep_pilco.JITTER)
+            moved = moved.mean(0) + noise[t].numpy() * np.sqrt(cov.diagonal() + particles.JITTER)
         states = torch.from_numpy(moved)
         visited.append(moved)
     return np.array(means), np.array(variances), np.array(visited)
 
 
-@pytest.mark.parametrize("matching", deep_pilco.MATCHING)
+@pytest.mark.parametrize("matching", particles.MATCHING)
 def test_predictions_equal_particles_moved_one_by_one(matching):
     made = model((100,))
     draws, controller = draws_of(made, PLAN, 3), SHAPE.controller(policies((100,)))
-    found = deep_pilco.predict(controller, PLANT, draws, matching)
+    found = particles.predict(controller, PLANT, draws, matching)
     masks = made.draw(PLAN.particles, 3)
     expected = particle_by_particle(made, masks, controller, draws.start[0], draws.noise[0], matching)
     for got, want in zip((found.mean, found.variance, found.particles), expected, strict=True):
@@ -267,10 +268,12 @@ def test_first_controllers_cover_the_states_around_the_hanging_pole():
     assert controller.weights.std() == pytest.approx(0.5, rel=0.15)
 
 
-def test_the_controller_is_evaluated_as_in_the_real_trial():
+@pytest.mark.parametrize("angle_features", [True, False])
+def test_particles_are_steered_as_the_real_cart(angle_features):
     controller, states = SHAPE.controller(policies()), 2 * normal(2, 9, 4)
-    got = deep_pilco._prepared(controller)(features(states))
-    torch.testing.assert_close(got, controller(features(states)), rtol=1e-10, atol=1e-10)
+    got = particles.act(states, *particles.multiplied_out(controller), 10.0, angle_features)
+    torch.testing.assert_close(got[..., -1], force(controller, PLANT, states), rtol=1e-9, atol=1e-9)
+    assert torch.equal(got[..., :-1], features(states) if angle_features else states)
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def test_the_objective_is_the_mean_negative_log_likelihood_with_the_decay_of_the
     squares = [weight.detach()[1].square().sum().item() for weight in model.net.weights]
     keep = (1.0, 0.9, 0.9)
     expected = -4 * likelihood + sum(k * length_scale**2 / (2 * n) * s for k, s in zip(keep, squares, strict=True))
-    assert model._loss(mean, target, decays)[1].item() == pytest.approx(expected, rel=1e-6)
+    assert (model._loss(mean, target) + model._penalty(decays))[1].item() == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_fit_learns_the_function_and_the_size_of_the_noise():

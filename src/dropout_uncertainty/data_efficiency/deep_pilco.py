@@ -1,12 +1,12 @@
 """Deep PILCO (thesis algorithm 4): particles through a dropout network, a Gaussian fitted to them at every step.
 
 Lines of the algorithm and where they are: 2-3 particles and one weight draw for each (`draw`), 5-8 the network moves
-every particle (`predict`), 9-11 moments of the particles and new particles from them (`match`). The trial's expected
-cost is their mean cost (`objective`), which Adam or BFGS lowers (`improve`). Replicas R first, then particles K.
+every particle (`particles.predict`), 9-11 moments of the particles and new particles from them (`particles.match`). The
+trial's expected cost is their mean cost (`objective`), which Adam or BFGS lowers (`improve`). Replicas R first.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -15,18 +15,12 @@ from torch import Generator, Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.data_efficiency import lockstep
-from dropout_uncertainty.data_efficiency.cartpole import FEATURE_NAMES, CartPole, features
-from dropout_uncertainty.data_efficiency.controllers import RBFController, squash
-from dropout_uncertainty.data_efficiency.cost import cost
+from dropout_uncertainty.data_efficiency.cartpole import FEATURE_NAMES, CartPole
+from dropout_uncertainty.data_efficiency.controllers import RBFController
 from dropout_uncertainty.data_efficiency.dropout_dynamics import DrawnFunction, DropoutDynamics
-from dropout_uncertainty.data_efficiency.squared_exponential import nan_cholesky
+from dropout_uncertainty.data_efficiency.particles import COST_OF, MATCHING, Draws, predict
 
-MATCHING = ("full", "diagonal", "off")
-COST_OF = ("particles", "mean")
 OPTIMISERS = ("adam", "bfgs")
-# Added to the particles' covariance, in SI units and as a share of each variance: keeps the Cholesky factor of nearly
-# equal or strongly correlated particles in float32.
-JITTER, RELATIVE_JITTER = 1e-6, 1e-5
 # Optimisation steps whose particles and masks are drawn at once.
 BLOCK = 10
 DIM = len(FEATURE_NAMES)
@@ -102,28 +96,6 @@ class RBFShape:
         return torch.cat((scale.log(), centres.reshape(-1), weights))
 
 
-@dataclass(frozen=True)
-class Draws:
-    """The random numbers of one predicted trial: what makes the objective a function of the controller alone."""
-
-    start: Float[Tensor, "R K 4"]  # particles at time 0
-    functions: tuple[DrawnFunction, ...]  # one, held for the whole trial, or one per step
-    noise: Float[Tensor, "R T K 4"]  # standard normal, for the particles that are resampled
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """A predicted trial."""
-
-    particles: Float[Tensor, "R T K 4"]  # of times 1 ... T, after matching
-    mean: Float[Tensor, "R T 4"]  # of the particles as the model left them
-    variance: Float[Tensor, "R T 4"]
-
-    def costs(self, plant: CartPole, of: str = "particles") -> Float[Tensor, "R T"]:
-        """Return the predicted cost of each step: mean cost of the particles, or cost of their mean."""
-        return cost(plant, self.particles).mean(-1) if of == "particles" else cost(plant, self.particles.mean(-2))
-
-
 def draw(
     model: DropoutDynamics, plant: CartPole, plan: Planning, count: int, *path: str | int, blocks: int = 1
 ) -> Iterator[Draws]:
@@ -160,58 +132,6 @@ def standardised(noise: Float[Tensor, "*batch K D"]) -> Float[Tensor, "*batch K 
     """Return the noise with mean 0 and variance 1 over the particles."""
     centred = noise - noise.mean(-2, keepdim=True)
     return centred / centred.square().mean(-2, keepdim=True).sqrt()
-
-
-def match(
-    particles: Float[Tensor, "R K D"], noise: Float[Tensor, "R K D"], matching: str = "full"
-) -> tuple[Float[Tensor, "R K D"], Float[Tensor, "R D"], Float[Tensor, "R D"]]:
-    """Return new particles from the Gaussian fitted to the particles, with its mean and variances (algorithm 4, 9-11).
-
-    Gradients flow through the mean and the factor of the covariance. ``matching`` "diagonal" fits each dimension by
-    itself, "off" leaves the particles as they are. The covariance is that of the particles, divided by K; a replica
-    whose covariance has no factor becomes NaN.
-    """
-    mean = particles.mean(1, keepdim=True)
-    centred = particles - mean
-    if matching == "full":
-        cov = centred.mT @ centred / particles.shape[1]
-        variance = cov.diagonal(dim1=-2, dim2=-1)
-        factor = nan_cholesky(cov + torch.diag_embed(JITTER + RELATIVE_JITTER * variance))
-        return torch.baddbmm(mean, noise, factor.mT), mean[:, 0], variance
-    variance = centred.square().mean(1)
-    if matching == "diagonal":
-        return mean + noise * (variance + JITTER).sqrt()[:, None], mean[:, 0], variance
-    return particles, mean[:, 0], variance
-
-
-def _prepared(controller: RBFController) -> Callable[[Tensor], Tensor]:
-    """Return a controller of one output as a function [R, K, D] -> [R, K, 1] with everything but x multiplied out."""
-    precision = torch.exp(-2 * controller.log_length_scales)  # [R, 1, D]
-    pull = controller.centres * precision  # [R, N, D]
-    offset = -(controller.centres * pull).sum(-1)[:, None] / 2  # [R, 1, N]
-    matrix = torch.cat((pull, (-precision / 2).expand_as(pull)), -1).mT  # acts on x and its squares
-    weights = controller.weights.mT
-
-    def act(x: Tensor) -> Tensor:
-        return torch.baddbmm(offset, torch.cat((x, x * x), -1), matrix).exp() @ weights
-
-    return act
-
-
-def predict(controller: RBFController, plant: CartPole, draws: Draws, matching: str = "full") -> Prediction:
-    """Return the predicted trial of a controller under given draws; the model's noise is not added to the states."""
-    act = _prepared(controller)
-    state, visited, means, variances = draws.start, [], [], []
-    for t in range(plant.steps):
-        seen = features(state)
-        force = squash(act(seen), plant.force_limit)
-        function = draws.functions[t % len(draws.functions)]
-        moved = state + function(torch.cat((seen if function.angle_features else state, force), -1))
-        state, mean, variance = match(moved, draws.noise[:, t], matching)
-        visited.append(state)
-        means.append(mean)
-        variances.append(variance)
-    return Prediction(torch.stack(visited, 1), torch.stack(means, 1), torch.stack(variances, 1))
 
 
 def objective(

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.data_efficiency import cartpole, controllers, deep_pilco
+from dropout_uncertainty.data_efficiency import cartpole, controllers, deep_pilco, particles
 from dropout_uncertainty.data_efficiency.cartpole import PAPER, CartPole, Rollout
 from dropout_uncertainty.data_efficiency.cost import cost, solved
 from dropout_uncertainty.data_efficiency.deep_pilco import Planning
@@ -186,7 +186,7 @@ class DeepPilcoLearning:
         draws = next(deep_pilco.draw(self.model, config.plant, config, PREDICTED, "record", trial))
         with torch.no_grad():
             controller = self.shape.controller(self.policy)
-            prediction = deep_pilco.predict(controller, config.plant, draws, config.matching)
+            prediction = particles.predict(controller, config.plant, draws, config.matching)
         self.log["predicted_mean"][:, trial, 0] = draws.start.mean(1)
         self.log["predicted_std"][:, trial, 0] = draws.start.std(1)
         self.log["predicted_mean"][:, trial, 1:] = prediction.mean

@@ -171,8 +171,8 @@ class DropoutDynamics:
             length_scale: l of the prior over the weights.
 
         Returns:
-            The mean objective of the last tenth of the steps [nats per transition, standardised targets], and how often
-            a gradient was not finite and left out.
+            The objective [nats per transition, standardised targets], its likelihood averaged over the last tenth of
+            the steps; and how often a gradient was not finite and left out.
 
         Raises:
             ValueError: if inputs and targets do not have one row per transition each, or hold NaN or infinity.
@@ -196,9 +196,11 @@ class DropoutDynamics:
             mean = self.net(
                 x.gather(1, chosen.expand(-1, -1, x.shape[-1])), tuple(m if m is None else m[:, part] for m in masks)
             )
-            loss = self._loss(mean, y.gather(1, chosen.expand(-1, -1, y.shape[-1])), decays)
+            loss = self._loss(mean, y.gather(1, chosen.expand(-1, -1, y.shape[-1])))
             adam.zero_grad()
             loss.sum().backward()
+            for weight, decay in zip(self.net.weights, decays, strict=True):
+                weight.grad.add_(weight.detach(), alpha=2 * decay)
             bad = ~loss.detach().isfinite()
             if bad.any():
                 repairs += bad
@@ -209,7 +211,7 @@ class DropoutDynamics:
             schedule.step()
             if step >= steps - tail:
                 late += loss.detach() / tail
-        return late, repairs
+        return late + self._penalty(decays), repairs
 
     def _check(self, inputs: Tensor, targets: Tensor) -> None:
         runs, width = len(self.seeds), self.sizes[0]
@@ -250,12 +252,12 @@ class DropoutDynamics:
     def _log_noise(self) -> Tensor:
         return self.log_noise.clamp(*LOG_NOISE_RANGE)
 
-    def _loss(self, mean: Tensor, target: Tensor, decays: Sequence[float]) -> Tensor:
+    def _loss(self, mean: Tensor, target: Tensor) -> Tensor:
         log_noise = self._log_noise()
-        fit = (((target - mean) * (-log_noise).exp()) ** 2 / 2 + log_noise).sum(-1).mean(-1)
-        for weight, decay in zip(self.net.weights, decays, strict=True):
-            fit = fit + decay * (weight * weight).sum((1, 2))
-        return fit
+        return (((target - mean) * (-log_noise).exp()) ** 2 / 2 + log_noise).sum(-1).mean(-1)
+
+    def _penalty(self, decays: Sequence[float]) -> Tensor:
+        return sum(d * w.detach().square().sum((1, 2)) for d, w in zip(decays, self.net.weights, strict=True))
 
     def state(self) -> dict[str, Tensor]:
         """Return a copy of all that a fit changes."""
