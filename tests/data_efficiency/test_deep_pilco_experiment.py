@@ -165,6 +165,19 @@ def test_units_cut_seeds_into_batches():
     assert units[0].config == experiment.OURS
 
 
+def test_records_of_the_search_are_small():
+    (unit,) = experiment.units("search/start", (100, 101))
+    assert unit.label == "data_efficiency/search/start/100-101"
+    record = finish(unit.start(SHORT, (100, 101))).result()
+    assert set(record) == {"costs", "predicted_cost", "model_loss", *experiment.DeepPilcoLearning.COUNTS}
+    assert sum(array.nbytes for array in record.values()) < 1000
+
+
+def test_published_records_fit_into_five_megabytes():
+    process = experiment.start(experiment.OURS, (100,))
+    assert 80 * sum(array.nbytes for array in process.result().values()) < 5e6
+
+
 def test_bad_input_is_named():
     with pytest.raises(ValueError, match="unknown config 'deep', choose one of deep-pilco-ours"):
         experiment.units("deep")

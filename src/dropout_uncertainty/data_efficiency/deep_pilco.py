@@ -31,27 +31,31 @@ class Planning:
     """How the particles are made, moved and judged, and how the controller is improved on them."""
 
     particles: int = 30
-    """Particles K."""
+    """Particles K; the paper has 10."""
     matching: str = "full"
-    """Moments matched at each step: "full" covariance, "diagonal" (each dimension's own), or "off"."""
+    """Moments matched at each step: those of all dimensions together ("full"), of each by itself ("diagonal", as
+    algorithm 4 writes them), or none ("off")."""
     hold_masks: bool = True
-    """Each particle keeps its weight draw over the whole trajectory; otherwise a fresh one at each step."""
+    """Each particle keeps its weight draw over the whole trajectory (thesis section 5.4.2); otherwise a fresh one at
+    each step."""
     standard_noise: bool = True
-    """Resampling noise is shifted and scaled to mean 0 and standard deviation 1 over the particles of each step."""
+    """The noise of new particles has mean 0 and standard deviation 1 over the particles of each step; otherwise, as
+    algorithm 4 has it, only on average."""
     cost_of: str = "particles"
-    """Mean cost of the "particles", or cost of their "mean" (a reading that makes public ports fail)."""
+    """The predicted cost is the mean cost of the particles ("particles"), or the cost of their mean ("mean"), which is
+    flat and makes a public re-implementation fail."""
     optimiser: str = "adam"
-    """"adam", or "bfgs" (on fixed particles and masks)."""
+    """Of the controller: "adam" (thesis section 5.4.2), or "bfgs" on particles and masks that stay as they are."""
     policy_steps: int = 300
-    """Optimisation steps per trial; line searches for "bfgs"."""
+    """Optimisation steps per trial (line searches of BFGS); the paper has 1000."""
     policy_rate: float = 1e-2
-    """Step size of Adam."""
+    """Step size of Adam; thesis and paper give none."""
     policy_final_rate: float = 1.0
     """The last step size as a share of the first; between them it falls along a cosine."""
     clip: float = 1.0
-    """Largest norm of a replica's gradient; 0: not limited."""
+    """Largest norm of a replica's gradient; 0, as in thesis and paper: not limited."""
     redraw_every: int = 1
-    """Optimisation steps for which particles and masks are kept; 0: fixed for all steps of a trial."""
+    """Optimisation steps for which particles and masks are kept (thesis: 1); 0: fixed for all steps of a trial."""
 
     def __post_init__(self) -> None:
         for name, choices in (("matching", MATCHING), ("cost_of", COST_OF), ("optimiser", OPTIMISERS)):
