@@ -186,7 +186,7 @@ def excess_on_predictable(learning: Learning, trials: Sequence[int] = LATER) -> 
     moves the tip by less than the width of the cost.
     """
     correlations, differences = [], []
-    for trial in trials:
+    for trial in (t for t in trials if t <= learning.trials):
         doubt, with_doubt, sure = doubt_and_gradient(learning, trial)
         ratio = with_doubt / np.maximum(sure, np.finfo(float).tiny)
         correlations.append([scipy_stats.spearmanr(d, r).statistic for d, r in zip(doubt, ratio, strict=True)])

@@ -202,7 +202,8 @@ def figure_5_7(ax: Axes, learnings: Sequence[Learning], *, printed: bool = True)
         colour = COLOURS.get(name, COLOURS["pilco"])
         trial, curves = np.arange(1, learning.trials + 1), learning.trial_costs[:, 1:]
         mean = curves.mean(0)
-        ax.plot(trial, mean, color=colour, label=f"{learning.label} ({len(curves)} repetitions)")
+        dash = "--" if learning.config == "pilco-matlab" else "-"
+        ax.plot(trial, mean, dash, color=colour, label=f"{learning.label} ({len(curves)} repetitions)")
         if len(curves) > 1:
             error = curves.std(0, ddof=1) / np.sqrt(len(curves))
             for times in (1, 2):
