@@ -51,7 +51,8 @@ class Table(Rendered):
         else:
             markdown = f"```{{table}} {caption}\n:name: {name}\n\n{grid}\n```"
         heading = f"<p><em>{_inline(caption)}</em></p>\n" if caption else ""
-        super().__init__(markdown, heading + _markdown().render(grid))
+        html = _markdown().render(grid).replace("<table>", '<table class="table">', 1)  # as the book's own tables
+        super().__init__(markdown, heading + html)
 
 
 class Folded(Rendered):
