@@ -5,20 +5,21 @@ import signal
 import socket
 import threading
 import time
-from dataclasses import replace
 
 import distributed
 import pytest
 import toy
 from test_cli import command
+from typer.testing import CliRunner
 
-from dropout_uncertainty import runs
+from dropout_uncertainty import cli, records, runs
 from dropout_uncertainty.runs import RunError
 
 
 @pytest.fixture
-def scheduler():
-    """Start a cluster of two worker processes and return the address of its scheduler."""
+def scheduler(tmp_path, monkeypatch):
+    """Start a cluster of two worker processes with records of their own and return the address of its scheduler."""
+    monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(tmp_path / "workers"))
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
     ) as local:
@@ -47,19 +48,30 @@ def kill_the_worker_at(folder, scheduler, killed):
 
 
 def test_a_worker_killed_in_the_middle_of_a_unit_loses_nothing(tmp_path, scheduler):
-    units = [toy.unit(seconds=0.1), replace(toy.unit(), name="short", seeds=(102,))]
-    killed = []
+    unit, killed = toy.unit(seconds=0.1), []
     killer = threading.Thread(target=kill_the_worker_at, args=(tmp_path, scheduler, killed))
     killer.start()
     with runs.cluster(scheduler) as executor:
-        found = runs.run(units[:1], executor=executor, folder=tmp_path, progress=False)
+        (found,) = runs.run([unit], executor=executor, folder=tmp_path, progress=False)
         killer.join()
-        found += runs.run(units[1:], executor=executor, folder=tmp_path, progress=False)
     assert len(killed) == 1
-    assert found[0].header["provenance"]["interruptions"] == 1
-    for unit, record in zip(units, found, strict=True):
-        assert record.header["checksum"] == runs.run_unit(unit, tmp_path / "here").header["checksum"]
+    assert found.header["provenance"]["interruptions"] == 1
+    assert found.header["checksum"] == runs.run_unit(unit, tmp_path / "alone").header["checksum"]
     assert not list(tmp_path.glob(".partial/*.pt"))
+
+
+def test_the_command_leaves_records_here_though_workers_have_disks_of_their_own(tmp_path, scheduler, monkeypatch):
+    monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(tmp_path / "here"))
+    monkeypatch.setitem(cli.EXPERIMENTS, "toy", ("toy",))
+    outcome = CliRunner().invoke(
+        cli.app, ["run", "toy", "--config", "long", "--seeds", "100-101", "--scheduler", scheduler]
+    )
+    assert outcome.exit_code == 0, outcome.output
+    path = tmp_path / "here" / "toy" / "long" / "100-101.npz"
+    assert str(path) in outcome.output
+    (unit,) = toy.units("long", (100, 101))
+    assert records.read(path).header["checksum"] == runs.run_unit(unit, tmp_path / "alone").header["checksum"]
+    assert (tmp_path / "workers" / "toy" / "long" / "100-101.npz").exists()
 
 
 def test_a_scheduler_that_is_not_there_is_one_sentence(nowhere):

@@ -42,6 +42,14 @@ def start(config, seeds, *, device="cpu", precision="float64"):
     return RandomWalk(config, seeds)
 
 
+#: As an experiment of the command line.
+CONFIGS = {"walk": Walk(), "long": Walk(steps=50)}
+
+
+def units(name, seeds, *, device="cpu"):
+    return [Unit("toy", name, start, CONFIGS[name], tuple(seeds), device)]
+
+
 def unit(**config):
     return Unit("toy", "walk", start, Walk(**config), (100, 101))
 
