@@ -100,6 +100,24 @@ def test_recorded_block_means_lie_beside_the_original_ones(family, agent):
         assert abs(ours.mean(*block).mean() - theirs.mean(*block).mean()) < 0.05, block
 
 
+def test_what_the_chapter_says_of_the_control_holds_in_the_records():
+    agents = analysis.load("ours")
+    for ticks in (analysis.EARLY, analysis.LATE):
+        assert analysis.compare(agents["greedy"], agents["thompson"], *ticks).low > 0
+
+
+def test_what_the_chapter_says_of_footnote_4_holds_in_the_records():
+    agents = analysis.load("as-demo")
+    explored = {name: curves.share("explored", 200_000, 1_000_000) for name, curves in agents.items()}
+    assert (explored["thompson"] > 0.06).all()
+    np.testing.assert_allclose(explored["epsilon-greedy"], 0.05 * 4 / 5, atol=0.001)
+
+
+def test_what_the_chapter_says_of_over_fitting_holds_in_the_records():
+    for name in ("narrow", "narrow-dropout", "wide", "wide-dropout"):
+        assert analysis.held_out_gap(analysis.load(name)["epsilon-greedy"]).mean() < 0.02
+
+
 def test_results_have_the_agreed_ids(tmp_path):
     found = {result.id: result for result in analysis.results(world(tmp_path))}
     agents = ("thompson", "epsilon-greedy", "boltzmann", "annealed-thompson")
