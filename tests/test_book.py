@@ -92,8 +92,10 @@ def test_small_book_from_interrupted_run_to_html(small_book, monkeypatch, capsys
         "figure": {"caption": "A line.", "name": "fig-5-1"},
         "image": {"alt": "a line"},
     }
-    pages.cells += [nbformat.v4.new_markdown_cell("# A page\n\n" + ALGORITHM)]
+    pages.cells += [nbformat.v4.new_markdown_cell("# A page\n\n[a record](../records/x/0.npz)\n\n" + ALGORITHM)]
     folder = small_book(one=pages)
+    (folder / "records" / "x").mkdir(parents=True)
+    (folder / "records" / "x" / "0.npz").write_bytes(b"numbers")
     (folder / "book" / "index.md").write_text("# Small\n\n$x^2$ in {numref}`Table %s <tab-5-1>`\n\n" + TABLE)
     for left in ("notebooks/gone.ipynb", "running/one.ipynb", "source/gone.md", "html/gone.html"):
         (folder / "_build" / left).parent.mkdir(parents=True, exist_ok=True)
@@ -117,6 +119,7 @@ def test_small_book_from_interrupted_run_to_html(small_book, monkeypatch, capsys
     assert "Algorithm 3 (Steps)" in text
     assert "Algorithm 3 and Figure 5.1" in text
     assert (folder / "_build/html/_static/mathjax/tex-svg.js").exists()
+    assert [path.read_bytes() for path in (folder / "_build/html/_downloads").rglob("0.npz")] == [b"numbers"]
 
 
 TABLE = "```{table} A caption.\n:name: tab-5-1\n\n| a |\n| - |\n| 1 |\n```"

@@ -31,6 +31,8 @@ PROFILES = ("recorded", "quick", "full")
 NOTEBOOKS, PROSE, CONFIG = Path("notebooks"), Path("book"), Path("_config.yml")
 BUILD = Path("_build")
 EXECUTED, RUNNING, SOURCE, HTML = BUILD / "notebooks", BUILD / "running", BUILD / "source", BUILD / "html"
+# beside the source as beside the notebooks, so that the same links lead to them from both
+RECORDS, COPIED = Path("records"), BUILD / "records"
 LOG = BUILD / "jupyter-book.log"
 TIMES = BUILD / "times.json"
 #: The notebook that shows what the others took, and runs after them.
@@ -197,8 +199,11 @@ def _assemble() -> None:
     missing = [name for name in notebooks() if not (EXECUTED / f"{name}.ipynb").exists()]
     if missing:
         raise BookError(f"{NOTEBOOKS / missing[0]}.ipynb has not been run: run the notebooks before the build")
-    shutil.rmtree(SOURCE, ignore_errors=True)
+    for stale in (SOURCE, COPIED):
+        shutil.rmtree(stale, ignore_errors=True)
     shutil.copytree(PROSE, SOURCE)
+    if RECORDS.exists():
+        shutil.copytree(RECORDS, COPIED, ignore=shutil.ignore_patterns(".*"))
     for name in notebooks():
         shutil.copy(EXECUTED / f"{name}.ipynb", SOURCE)
 

@@ -56,9 +56,9 @@ def behind(judged: Sequence[Judgement]) -> Cells:
     rows = []
     for j in judged:
         groups = [list(group) for _, group in groupby(j.records, lambda record: record.label.rsplit("/", 1)[0])]
-        files = [f"`records/{group[0].label}`" + "".join(f", `{r.path.name}`" for r in group[1:]) for group in groups]
-        parts = "; ".join(map(str, j.parts))
-        rows.append([j.claim.id, j.claim.rule, parts, "; ".join(files), "; ".join(f"`{command(g)}`" for g in groups)])
+        files = ", ".join(f"[{record.label}](../records/{record.label})" for record in j.records)
+        commands = "; ".join(f"`{command(group)}`" for group in groups)
+        rows.append([j.claim.id, j.claim.rule, "; ".join(map(str, j.parts)), files, commands])
     return ["", "rule", "parts", "records", "made by"], rows
 
 
