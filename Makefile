@@ -3,7 +3,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 RUN := $(BIN)/dropout-uncertainty
 
-.PHONY: help book test check quick lab records verify bench clean
+.PHONY: help book test check browser quick lab records verify bench clean
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
@@ -18,6 +18,9 @@ check: $(READY)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+browser: $(READY) ## open every page of the built book in Chromium and check it there
+	$(BIN)/python -m pytest -m "" tests/test_book.py tests/test_browser.py
 
 quick: $(READY) ## compute everything live at reduced size and build the HTML from that
 	$(RUN) book --profile quick

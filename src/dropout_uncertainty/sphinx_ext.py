@@ -17,6 +17,7 @@ __all__ = ["setup"]
 FIRST_ALGORITHM = 3
 
 MATHJAX = "mathjax/tex-svg.js"
+SYSTEM_THEME = 'matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"'
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
@@ -26,6 +27,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("autodoc-process-docstring", keep_lines, priority=400)
     app.connect("autodoc-process-docstring", restore_lines, priority=600)
     app.connect("build-finished", copy_mathjax)
+    app.connect("build-finished", slim_pages)
     app.connect("env-get-updated", number_algorithms, priority=900)
     app.connect("html-page-context", mend_roles, priority=900)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
@@ -65,6 +67,29 @@ def copy_mathjax(app: Sphinx, exception: Exception | None) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         package = distribution("sphinx-mathjax-offline")
         shutil.copyfile(str(package.locate_file(f"sphinx-mathjax-offline/static/{MATHJAX}")), target)
+
+
+def slim_pages(app: Sphinx, exception: Exception | None) -> None:
+    """Take out of every page what it loads in vain, and of the book what no page loads.
+
+    The theme's style sheet draws the icons from a font; its script of 1.5 MB would draw the same ones again. Sphinx
+    loads MathJax on a page whose subpages hold formulas. Without a stored choice the theme starts with no colours and
+    an error on the console; it shall follow the system.
+    """
+    if exception is not None or app.builder.format != "html":
+        return
+    for page in Path(app.outdir).rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        text = re.sub(r"<script[^>]*fontawesome\.js[^>]*></script>\s*", "", text)
+        if 'class="math' not in text:
+            text = re.sub(r"<script[^>]*>\s*window\.MathJax.*?</script>\s*", "", text, flags=re.DOTALL)
+            text = re.sub(r"<script[^>]*mathjax/[^>]*></script>\s*", "", text)
+        text = text.replace('getItem("mode") || ""', 'getItem("mode") || "auto"')
+        text = text.replace('getItem("theme") || ""', f'getItem("theme") || ({SYSTEM_THEME})')
+        page.write_text(text, encoding="utf-8")
+    static = Path(app.outdir, "_static")
+    for unused in (*static.rglob("*.map"), static / "scripts" / "fontawesome.js"):
+        unused.unlink(missing_ok=True)
 
 
 def number_algorithms(app: Sphinx, env: BuildEnvironment) -> list[str]:
