@@ -64,15 +64,18 @@ def test_a_claim_links_to_what_the_book_has():
 
 
 def test_behind_a_claim_stand_its_files_and_the_commands_that_make_them():
-    _, ((_, rule, parts, files, commands),) = scoreboard.behind([judged(part("partly"), found=FOUND)])
-    assert (rule, parts) == ("a rule", "something: 1 [0.5, 1.5] points")
-    assert files.split(", ")[1:] == [
-        "[active_learning/ours/a/001.npz](../records/active_learning/ours/a/001.npz)",
+    text = scoreboard.behind([judged(part("partly"), found=FOUND), judged(missing("it"), identifier="DE1")])
+    assert text.split("\n\n") == [
+        "**AL1** is judged by: a rule.",
+        "- something: 1 [0.5, 1.5] points (*partly*)",
+        "Records: [active_learning/ours/a/000.npz](../records/active_learning/ours/a/000.npz), "
+        "[active_learning/ours/a/001.npz](../records/active_learning/ours/a/001.npz), "
         "[active_learning/ours/b/000.npz](../records/active_learning/ours/b/000.npz)",
-    ]
-    assert commands.split("; ") == [
-        "`dropout-uncertainty run active_learning --config ours/a --seeds 0-1`",
-        "`dropout-uncertainty run active_learning --config ours/b --seeds 0`",
+        "```console\n"
+        "$ dropout-uncertainty run active_learning --config ours/a --seeds 0-1\n"
+        "$ dropout-uncertainty run active_learning --config ours/b --seeds 0\n```",
+        "**DE1** is judged by: a rule.",
+        "- it: no records yet (*undecided*)",
     ]
 
 

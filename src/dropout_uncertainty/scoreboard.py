@@ -51,15 +51,21 @@ def sentence(judgement: Judgement) -> str:
     return text + (f" ({'; '.join(reasons)})." if reasons else ".")
 
 
-def behind(judged: Sequence[Judgement]) -> Cells:
-    """Return one row per claim: its rule, all its parts, the record files and the commands that make them."""
-    rows = []
-    for j in judged:
-        groups = [list(group) for _, group in groupby(j.records, lambda record: record.label.rsplit("/", 1)[0])]
-        files = ", ".join(f"[{record.label}](../records/{record.label})" for record in j.records)
-        commands = "; ".join(f"`{command(group)}`" for group in groups)
-        rows.append([j.claim.id, j.claim.rule, "; ".join(map(str, j.parts)), files, commands])
-    return ["", "rule", "parts", "records", "made by"], rows
+def behind(judged: Sequence[Judgement]) -> str:
+    """Return Markdown: for each claim its rule, all its parts, its record files and the commands that make them."""
+    return "\n\n".join(map(_behind, judged))
+
+
+def _behind(judgement: Judgement) -> str:
+    claim, found = judgement.claim, judgement.records
+    parts = "\n".join(f"- {part} (*{part.verdict}*)" for part in judgement.parts)
+    text = f"**{claim.id}** is judged by: {claim.rule}.\n\n{parts}"
+    if not found:
+        return text
+    files = ", ".join(f"[{record.label}](../records/{record.label})" for record in found)
+    groups = [list(group) for _, group in groupby(found, lambda record: record.label.rsplit("/", 1)[0])]
+    commands = "\n".join(f"$ {command(group)}" for group in groups)
+    return f"{text}\n\nRecords: {files}\n\n```console\n{commands}\n```"
 
 
 def _where(claim: Claim) -> str:
