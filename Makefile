@@ -19,8 +19,8 @@ check: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-browser: $(READY) ## open every page of the built book in Chromium and check it there
-	$(BIN)/python -m pytest -m "" tests/test_book.py tests/test_browser.py
+browser: $(READY) ## open the built book, and a notebook in JupyterLab, in Chromium and check what is to be seen
+	$(BIN)/python -m pytest -m "" tests/test_book.py tests/test_browser.py tests/test_lab.py
 
 quick: $(READY) ## compute everything live at reduced size and build the HTML from that
 	$(RUN) book --profile quick
