@@ -14,8 +14,10 @@ from matplotlib.lines import Line2D
 
 __all__ = ["Curves"]
 
-# Text stays text, in the font of the page; the picture keeps its white ground, as every picture of the book.
+# Text stays text, in the font of the page; the picture keeps its white ground, as every picture of the book, and in
+# the dark the theme puts a light ground below all of it.
 SHEET = """
+#{name} {{ color-scheme: light; }}
 #{name} fieldset {{ border: 0; margin: 0 0 0.5rem; padding: 0; display: flex; flex-wrap: wrap; gap: 0 1.2rem; }}
 #{name} legend {{ font-size: inherit; margin: 0; }}
 #{name} label {{ display: inline-flex; align-items: center; gap: 0.4rem; min-height: 1.75rem; cursor: pointer; }}
