@@ -209,9 +209,10 @@ class Judgement:
     @property
     def sentence(self) -> str:
         """The explanation: every part, and how many repetitions there are."""
-        if not self.records:
+        counts = [part.interval.n for part in self.parts if part.interval.n]
+        if not counts:
             return "No records yet."
-        least = min(part.interval.n for part in self.parts)
+        least = min(counts)
         few = f" At least {MIN_REPETITIONS} repetitions are needed for a verdict." if least < MIN_REPETITIONS else ""
         return "; ".join(map(str, self.parts)) + f". Repetitions: {least} or more.{few}"
 
