@@ -11,10 +11,11 @@ import torch
 from torch import Generator, Tensor
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.data_efficiency import cartpole, controllers, pilco
+from dropout_uncertainty.data_efficiency import cartpole, controllers, deep_pilco_experiment, pilco
 from dropout_uncertainty.data_efficiency import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER, CartPole
 from dropout_uncertainty.data_efficiency.cost import cost, solved
+from dropout_uncertainty.data_efficiency.deep_pilco_experiment import DeepPilcoConfig
 from dropout_uncertainty.data_efficiency.squared_exponential import SquaredExponential
 from dropout_uncertainty.runs import Unit
 
@@ -57,7 +58,11 @@ class PilcoConfig:
 PILCO_MATLAB = PilcoConfig(plant=MATLAB)
 #: The plant of the Deep PILCO paper, on which both methods of figure 5.7 are compared.
 PILCO_PAPER = replace(PILCO_MATLAB, plant=PAPER)
-CONFIGS: dict[str, PilcoConfig] = {"pilco-paper": PILCO_PAPER, "pilco-matlab": PILCO_MATLAB}
+CONFIGS: dict[str, PilcoConfig | DeepPilcoConfig] = {
+    "pilco-paper": PILCO_PAPER,
+    "pilco-matlab": PILCO_MATLAB,
+    **deep_pilco_experiment.CONFIGS,
+}
 
 
 class PilcoLearning:
@@ -246,13 +251,17 @@ def start(config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precis
     return PilcoLearning(config, seeds)
 
 
-def units(name: str, seeds: Sequence[int] = tuple(range(40)), device: str = "cpu") -> list[Unit]:
-    """Return the work of a named config, in batches of ``GROUP`` seeds.
+def units(
+    name: str, seeds: Sequence[int] = tuple(range(40)), device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the work of a named config, PILCO's in batches of ``GROUP`` seeds; the default precision is the method's.
 
     Raises:
         ValueError: if there is no config of that name.
     """
     if name not in CONFIGS:
         raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
+    if name in deep_pilco_experiment.CONFIGS:
+        return deep_pilco_experiment.units(name, seeds, device, precision or "float32")
     groups = [tuple(seeds[i : i + GROUP]) for i in range(0, len(seeds), GROUP)]
-    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, "float64") for group in groups]
+    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, precision or "float64") for group in groups]
