@@ -101,8 +101,13 @@ def number_algorithms(app: Sphinx, env: BuildEnvironment) -> list[str]:
 
 
 def mend_roles(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: object) -> None:
-    """Take out of the page what screen readers stumble over: list roles without a list, an id used several times."""
+    """Mend what readers stumble over: list roles without a list, an id used several times, tables wider than a phone.
+
+    The theme puts every table of a page into a part that scrolls, but not a table that comes as HTML.
+    """
     body = context.get("body")
     if body:
         body = re.sub(r' role="(list|doc-biblioentry)"', "", body)
+        table, scrolling = r'(?<=<div class="output text_html">)(<table.*?</table>)', "pst-scrollable-table-container"
+        body = re.sub(table, rf'<div class="{scrolling}">\1</div>', body, flags=re.DOTALL)
         context["body"] = body.replace(' id="proof-content"', "")
