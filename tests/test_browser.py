@@ -124,9 +124,7 @@ def violations(page, scheme, rules):
     from axe_playwright_python.sync_playwright import Axe
 
     found = (
-        Axe()
-        .run(page, options={"runOnly": rules, "preload": False, "reporter": "no-passes"})
-        .response["violations"]
+        Axe().run(page, options={"runOnly": rules, "preload": False, "reporter": "no-passes"}).response["violations"]
     )
     return [
         f"{scheme}, {rule['id']}: {node['html'][:150]} ({node['failureSummary'].splitlines()[-1].strip()[:150]})"
