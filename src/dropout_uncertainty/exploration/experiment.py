@@ -153,8 +153,8 @@ PUBLISHED = {
 def shortened(config: Config) -> Config:
     """Return the version of a config for profile ``quick``."""
     if config.held_out_every:
-        return replace(config, ticks=6_000, held_out_every=3)
-    return replace(config, ticks=15_000)
+        return replace(config, ticks=4_500, held_out_every=3)
+    return replace(config, ticks=15_000 if len(config.agents) > 1 else 9_000)
 
 
 CONFIGS: dict[str, Config] = PUBLISHED | {f"quick/{name}": shortened(config) for name, config in PUBLISHED.items()}
