@@ -114,7 +114,8 @@ def test_verify_recomputes_and_says_what_fails(tmp_path, monkeypatch):
     while process.done < process.total:
         process.advance()
     arrays = process.result()
-    longer = {name: np.repeat(array, 10, axis=-1) for name, array in arrays.items()}  # the first of 30 blocks is right
+    blocks = unit.config.ticks // experiment.BLOCK
+    longer = {name: np.repeat(array, blocks // 3, axis=-1) for name, array in arrays.items()}  # the first block is right
     header = {**unit.identity, "config": records.config_dict(unit.config), "provenance": records.provenance()}
     path = tmp_path / f"{unit.label}.npz"
     records.write(path, longer, header)
@@ -122,5 +123,5 @@ def test_verify_recomputes_and_says_what_fails(tmp_path, monkeypatch):
     outcome = command("records", "verify", "--recompute", "1", "--seconds", "0.001")
     assert outcome.returncode == 1
     assert "1 of 1 records are intact" in outcome.stdout
-    assert "quick/ours-greedy/100.npz: 2 of 30 steps again" in outcome.stderr
+    assert f"quick/ours-greedy/100.npz: 2 of {blocks} steps again" in outcome.stderr
     assert "reward differs" in outcome.stderr
