@@ -115,7 +115,7 @@ def test_verify_recomputes_and_says_what_fails(tmp_path, monkeypatch):
         process.advance()
     arrays = process.result()
     blocks = unit.config.ticks // experiment.BLOCK
-    longer = {name: np.repeat(array, blocks // 3, axis=-1) for name, array in arrays.items()}  # the first block is right
+    longer = {name: np.repeat(array, blocks // 3, axis=-1) for name, array in arrays.items()}  # block 1 is right
     header = {**unit.identity, "config": records.config_dict(unit.config), "provenance": records.provenance()}
     path = tmp_path / f"{unit.label}.npz"
     records.write(path, longer, header)
