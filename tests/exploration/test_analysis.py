@@ -106,6 +106,15 @@ def test_what_the_chapter_says_of_the_control_holds_in_the_records():
         assert analysis.compare(agents["greedy"], agents["thompson"], *ticks).low > 0
 
 
+def test_what_the_chapter_says_of_annealing_holds_in_the_records():
+    agents = analysis.load("ours")
+    explored = {name: curves.share("explored", *analysis.LATE).mean() for name, curves in agents.items()}
+    assert explored["boltzmann"] < 0.5 * explored["thompson"]
+    assert explored["annealed-thompson"] >= explored["thompson"]
+    assert abs(analysis.compare(agents["greedy"], agents["boltzmann"], *analysis.LATE).value) < 0.01
+    assert analysis.compare(agents["annealed-thompson"], agents["thompson"], *analysis.LATE).low > 0
+
+
 def test_what_the_chapter_says_of_footnote_4_holds_in_the_records():
     agents = analysis.load("as-demo")
     explored = {name: curves.share("explored", 200_000, 1_000_000) for name, curves in agents.items()}
