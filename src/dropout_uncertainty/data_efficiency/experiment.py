@@ -68,6 +68,8 @@ CONFIGS: dict[str, PilcoConfig | DeepPilcoConfig] = {
 class PilcoLearning:
     """R repetitions of PILCO (thesis algorithm 3) in one batch; step 0 is the random trial."""
 
+    #: Kept in full precision: with these a longer config continues from the record as if it had never stopped.
+    CONTINUED = ("observed", "forces", "hyper", "policy")
     #: What computing time is spent on; "gradients" are for the record only.
     PARTS = ("model", "gradients", "policy", "trial")
     COUNTS = (
@@ -232,7 +234,10 @@ class PilcoLearning:
 
     def result(self) -> dict[str, np.ndarray]:
         """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN."""
-        log = {name: value.numpy().astype(np.float32) for name, value in self.log.items()}
+        log = {
+            name: value.numpy() if name in self.CONTINUED else value.numpy().astype(np.float32)
+            for name, value in self.log.items()
+        }
         return log | {name: value.numpy().astype(np.int32) for name, value in self.counts.items()}
 
     def timings(self) -> dict[str, list[float]]:
