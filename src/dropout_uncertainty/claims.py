@@ -30,17 +30,6 @@ def waiting(identifier: str, where: str, text: str, rule: str) -> Claim:
 #: Claims for which there is no code yet. One that gets code leaves this list.
 WAITING: list[Claim] = [
     waiting(
-        "DE2", "Figure 5.7 and Figure 5.8",
-        "Deep PILCO balances the pole within 20 to 25 trials.",
-        "trial by which half of the repetitions are solved, and its distribution, as written and in our setting",
-    ),
-    waiting(
-        "DE3", "Figure 5.8",
-        "After one trial the model is of no use; after 10 it predicts about 13 steps and the pole is held for a "
-        "second; after 20 a little better; from about 26 most trials are stable.",
-        "steps until the true trial leaves two standard deviations of the prediction, at those trials",
-    ),
-    waiting(
         "DE4", "Section 5.4.2",
         "Matching moments at every step is crucial: it penalises policies whose trajectories part, and smooths the "
         "gradient.",
@@ -67,11 +56,6 @@ WAITING: list[Claim] = [
         "Deep PILCO's time per trial does not grow with the number of trials and is linear in the dimensions; PILCO's "
         "grows with the square of both.",
         "exponents fitted to the time per trial against transitions, inputs and outputs",
-    ),
-    waiting(
-        "DE9", "Figure 5.7",
-        "Both need orders of magnitude fewer trials than model-free learners, which take 400 and 2500.",
-        "trials to solve against the printed lines, once a model-free learner has been run on our cart-pole",
     ),
     waiting(
         "DE10", "Section 5.4.2",

@@ -15,7 +15,7 @@ from dropout_uncertainty.data_efficiency import analysis, figures
 from dropout_uncertainty.data_efficiency.animation import SwingUp
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER
 from dropout_uncertainty.data_efficiency.claims import CLAIMS
-from dropout_uncertainty.data_efficiency.experiment import PILCO_PAPER
+from dropout_uncertainty.data_efficiency.experiment import CONFIGS, PILCO_PAPER
 
 CLAIM = {claim.id: claim for claim in CLAIMS}
 TRIALS, STEPS = 10, PAPER.steps
@@ -111,6 +111,105 @@ def test_claims_follow_their_rules(tmp_path, claim, first, attentive, verdict):
     assert judgement.verdict == verdict, judgement.sentence
     assert judgement.records
     assert CLAIM[claim].judge(tmp_path / "empty").verdict == "undecided"
+
+
+def deep_arrays(first, *, followed=15, held=12, better=1, runs=8, trials=40):
+    """Return arrays of Deep PILCO whose true angle leaves the prediction after ``followed`` steps from trial 10 on,
+    ``better`` later from trial 20 on.
+    """
+    shown = [1, 5, 10, 20, 26, 40]
+    trial = np.arange(trials + 1)
+    good = np.broadcast_to(trial >= first, (runs, trials + 1))
+    costs = np.where(good[..., None] & (np.arange(STEPS) >= STEPS - held), 0.05, 1.0)
+    mean = np.zeros((runs, trials + 1, STEPS + 1, 4))
+    states = np.zeros((runs, trials + 1, STEPS + 1, 4))
+    states[..., : STEPS + 1 - held, 3] = np.pi
+    mean[..., 3] = states[..., 3]
+    for t in trial:
+        followed_now = 2 if t < 10 else followed + better * (t >= 20)
+        mean[:, t, followed_now + 1 :, 3] += 1.0
+    noise = 0.01 * np.arange(runs)[:, None, None, None] / runs
+    return {
+        "costs": costs, "predicted_cost": costs, "states": states, "predicted_mean": mean + noise,
+        "predicted_std": np.full_like(mean, 0.1), "shown": np.array(shown),
+        "repeats": np.repeat(states[:, shown, None], 5, 2),
+    }  # fmt: skip
+
+
+def write_deep(folder, config="deep-pilco-ours", **options):
+    settings = records.config_dict(CONFIGS[config])
+    found = deep_arrays(**options)
+    header = {
+        "experiment": "data_efficiency", "name": config, "seeds": list(range(len(found["costs"]))),
+        "config": settings, "config_hash": records.config_hash(settings),
+        "provenance": {"cpu_s": 7200.0, "processor": "a processor"},
+    }  # fmt: skip
+    records.write(folder / "data_efficiency" / config / "000-007.npz", found, header)
+    return folder
+
+
+def test_figure_5_8_in_numbers():
+    found = analysis.from_arrays("deep-pilco-ours", PAPER, deep_arrays(12, followed=13, held=9), range(8))
+    assert analysis.steps_predicted(found, 1).tolist() == [2.0] * 8
+    assert analysis.steps_predicted(found, 10).tolist() == [13.0] * 8
+    assert analysis.steps_held(found, 10).tolist() == [9.0] * 8
+    assert analysis.share_solved(found, 26).tolist() == [1.0] * 8
+    found.arrays["predicted_std"][..., 5:, 3] = 2.0  # a prediction that says nothing is none
+    assert analysis.steps_predicted(found, 10).tolist() == [4.0] * 8
+    with pytest.raises(ValueError, match="repeated are"):
+        analysis.repeats(found, 2)
+
+
+@pytest.mark.parametrize(
+    ("claim", "options", "verdict"),
+    [
+        ("DE2", {"first": 23}, "partly"),  # no spread in these repetitions: the interval is one number, and not 22.5
+        ("DE2", {"first": 99}, "not replicated"),
+        ("DE3", {"first": 9, "followed": 13, "held": 10}, "replicated"),
+        ("DE3", {"first": 99, "followed": 1, "held": 0, "better": 0}, "not replicated"),
+    ],
+)
+def test_claims_about_deep_pilco_follow_their_rules(tmp_path, claim, options, verdict):
+    write_deep(tmp_path, **options)
+    assert CLAIM[claim].judge(tmp_path).verdict == "undecided"  # as written has no records
+    judgement = CLAIM[claim].judge(write_deep(tmp_path, "deep-pilco-as-written", **options))
+    assert judgement.verdict == verdict, judgement.sentence
+
+
+def test_orders_of_magnitude_stay_undecided_until_a_model_free_learner_was_run(tmp_path):
+    write_deep(tmp_path, first=8)
+    judgement = CLAIM["DE9"].judge(write(tmp_path, [6] * 6))
+    assert judgement.verdict == "undecided"
+    assert [p.interval.value for p in judgement.parts if p.interval.n] == [400 / 6, 2500 / 6, 50.0, 312.5]
+
+
+def test_tables_of_deep_pilco(tmp_path):
+    found = analysis.load("deep-pilco-ours", write_deep(tmp_path, first=8, followed=13))
+    heads, cells = analysis.fitting_table([found])
+    assert heads[-1] == "Deep PILCO"
+    assert [row[0] for row in cells[::3]] == [1, 10, 20, 26]
+    assert cells[3][2:] == ["13", "13 [13, 13]"]
+    _, cells = analysis.run_time_table([found])
+    assert cells == [["Deep PILCO", "5.85", 40, "0.250", "8", "one core, a processor"]]
+    ids = {r.id: r for r in analysis.results(tmp_path)}
+    assert ids["figure-5.8/deep-pilco/steps-predicted-after-10"].thesis == 13
+    assert ids["figure-5.8/deep-pilco/steps-predicted-after-10"].ours == 13
+
+
+def test_every_setting_that_was_tried_is_in_the_table(tmp_path):
+    for name in ("search/start", "search/rate-decay"):
+        settings = records.config_dict(CONFIGS[name])
+        header = {
+            "experiment": "data_efficiency", "name": name, "seeds": list(range(100, 108)), "config": settings,
+            "config_hash": records.config_hash(settings), "provenance": {},
+        }  # fmt: skip
+        arrays = {"costs": deep_arrays(12)["costs"]}
+        records.write(tmp_path / "data_efficiency" / name / "100-107.npz", arrays, header)
+    _, cells = analysis.search_table(tmp_path)
+    assert {row[0]: row[1] for row in cells} == {
+        "start": "the settings it began with", "rate-decay": "`policy_final_rate` 1.0 → 0.1",
+    }  # fmt: skip
+    assert analysis.load("search/start", tmp_path) is None  # development seeds
 
 
 def test_a_step_predicted_well_is_one_whose_tip_is_within_the_width_of_the_cost():

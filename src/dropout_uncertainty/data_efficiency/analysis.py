@@ -1,4 +1,4 @@
-"""From records to the numbers of Figure 5.7 and of claims DE1 and DE11. Nothing is run and nothing is drawn here.
+"""From records to the numbers of Figures 5.7 and 5.8 and of their claims. Nothing is run and nothing is drawn here.
 
 PILCO's and Deep PILCO's records keep costs and predictions under the same names, so that one class reads both.
 """
@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from scipy import stats as scipy_stats
+from torch import Tensor
 
 from dropout_uncertainty import records
 from dropout_uncertainty.data_efficiency import cost
@@ -21,8 +22,9 @@ from dropout_uncertainty.results import Result, measured, thesis_value
 from dropout_uncertainty.stats import CONFIDENCE, Interval, bootstrap_interval, t_interval
 
 __all__ = [
-    "LABELS", "LATER", "TRIALS", "Learning", "check_quick", "doubt_and_gradient", "excess_on_predictable",
-    "from_arrays", "from_records", "load", "results", "share_interval", "solved_table", "time_table",
+    "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "doubt_and_gradient", "excess_on_predictable",
+    "fitting_table", "from_arrays", "from_records", "load", "repeats", "results", "run_time_table", "search_table",
+    "share_interval", "share_solved", "solved_table", "steps_held", "steps_predicted", "time_table",
 ]  # fmt: skip
 
 #: How each config is called in figures and tables; those of Figure 5.7 first.
@@ -43,6 +45,8 @@ NAMES: dict[str, str] = {
 TRIALS = (1, 5, 7, 10, 15, 20, 25, 26, 40)
 #: A repetition keeps its solution if at least this share of the trials after the first solved one are solved.
 KEPT = 0.8
+#: Panels of Figure 5.8: trials of data that the model had seen.
+PANELS = (1, 10, 20, 26)
 #: Trials over which claim DE11 is judged: those before most repetitions are solved.
 LATER = (1, 2, 3, 4, 5)
 
@@ -86,6 +90,13 @@ class Learning:
     def predicted_costs(self) -> Float[np.ndarray, "R trials"]:
         """Mean cost per step that the model expected of each trial; NaN for the random one."""
         return self.arrays["predicted_cost"].astype(float).mean(-1)
+
+    @property
+    def predicted_std(self) -> Float[np.ndarray, "R trials times 4"]:
+        """Standard deviation of the state that the model expected at each time; NaN for the random trial."""
+        if "predicted_std" in self.arrays:
+            return self.arrays["predicted_std"].astype(float)
+        return np.sqrt(self.arrays["predicted_variance"].astype(float))
 
     @property
     def solved(self) -> Bool[np.ndarray, "R trials"]:
@@ -195,6 +206,50 @@ def excess_on_predictable(learning: Learning, trials: Sequence[int] = LATER) -> 
     return np.mean(correlations, 0), np.mean(differences, 0)
 
 
+def repeats(learning: Learning, trial: int) -> Float[np.ndarray, "R M times 4"]:
+    """Return the true states of a trial of Deep PILCO and of further trials of its controller (green in Figure 5.8).
+
+    Raises:
+        ValueError: if the controller of that trial was not kept.
+    """
+    shown = [int(i) for i in learning.arrays["shown"]]
+    if trial not in shown:
+        raise ValueError(f"the trials that were repeated are {shown}, not {trial}")
+    further = learning.arrays["repeats"][:, shown.index(trial)].astype(float)
+    return np.concatenate((learning.arrays["states"][:, trial, None].astype(float), further), 1)
+
+
+def steps_predicted(learning: Learning, trial: int) -> Float[np.ndarray, " R"]:
+    """Return for how many steps from the start the true trials of a controller went as the model had said.
+
+    A step counts if the true angle is within two standard deviations of the prediction and that prediction says
+    something: a standard deviation of the angle moves the tip by less than the width of the cost. Mean over the trials
+    of each repetition (thesis Figure 5.8 reads 13 off after 10 trials).
+    """
+    mean = learning.arrays["predicted_mean"][:, trial, None, 1:, 3].astype(float)
+    std = learning.predicted_std[:, trial, None, 1:, 3]
+    true = repeats(learning, trial)[:, :, 1:, 3]
+    good = (np.abs(true - mean) <= 2 * std) & (std * learning.plant.pole_length < learning.plant.cost_width)
+    return np.logical_and.accumulate(good, -1).sum(-1).mean(1)
+
+
+def steps_held(learning: Learning, trial: int) -> Float[np.ndarray, " R"]:
+    """Return for how many steps the pole stood, at the mean over the true trials of a controller.
+
+    It stands where the cost of a step is below the bound that a solved trial has to keep.
+    """
+    return (_repeated_costs(learning, trial) < cost.SOLVED_BELOW).double().sum(-1).mean(1).numpy()
+
+
+def share_solved(learning: Learning, trial: int) -> Float[np.ndarray, " R"]:
+    """Return the share of the true trials of a controller that were solved."""
+    return cost.solved(learning.plant, _repeated_costs(learning, trial)).double().mean(1).numpy()
+
+
+def _repeated_costs(learning: Learning, trial: int) -> Tensor:
+    return cost.cost(learning.plant, torch.from_numpy(repeats(learning, trial)[:, :, 1:]))
+
+
 def check_quick(learning: Learning) -> None:
     """Check a short live run of PILCO, three controlled trials or more, against wide bands set before it was first run.
 
@@ -216,6 +271,8 @@ def results(folder: Path | None = None) -> list[Result]:
         learning = load(config, folder)
         if learning is not None:
             found += _results(learning, f"figure-5.7/{name}")
+            if "shown" in learning.arrays:
+                found += _fitting_results(learning, f"figure-5.8/{name}")
     return found
 
 
@@ -238,6 +295,44 @@ def _results(learning: Learning, name: str) -> list[Result]:
         )
         for kind, interval, unit, statistic in statistics
     ]  # fmt: skip
+
+
+def fitting(learning: Learning, trial: int) -> list[tuple[str, str, str, Interval]]:
+    """Return what Figure 5.8 shows of a trial in numbers: kind, unit, words, and the mean over repetitions."""
+    return [
+        (
+            "steps-predicted",
+            "steps",
+            "steps that the model had predicted",
+            t_interval(steps_predicted(learning, trial)),
+        ),
+        ("steps-held", "steps", "steps for which the pole stood", t_interval(steps_held(learning, trial))),
+        ("share-solved", "share", "true trials that were solved", t_interval(share_solved(learning, trial))),
+    ]
+
+
+def _fitting_results(learning: Learning, name: str) -> list[Result]:
+    return [
+        measured(
+            f"{name}/{kind}-after-{trial}", interval, learning.records,
+            unit=unit, statistic=f"{words}, controller after {trial} trials", config=learning.config,
+        )
+        for trial in PANELS if trial <= learning.trials
+        for kind, unit, words, interval in fitting(learning, trial)
+    ]  # fmt: skip
+
+
+def fitting_table(learnings: Sequence[Learning]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: for each panel of Figure 5.8 its numbers, the thesis's and those of each learner."""
+    heads = ["after trial", "", "thesis", *(learning.label for learning in learnings)]
+    cells: list[list[object]] = []
+    for trial in (t for t in PANELS if t <= min(learning.trials for learning in learnings)):
+        for rows in zip(*(fitting(learning, trial) for learning in learnings), strict=True):
+            kind, _, words, _ = rows[0]
+            printed = thesis_value(f"figure-5.8/deep-pilco/{kind}-after-{trial}")
+            numbers = [f"{i.value:.2g} [{i.low:.2g}, {i.high:.2g}]" for *_, i in rows]
+            cells.append([trial, words, printed and f"{printed:g}", *numbers])
+    return heads, cells
 
 
 def solved_table(learnings: Sequence[Learning], trials: Sequence[int]) -> tuple[list[str], list[list[object]]]:
@@ -274,4 +369,51 @@ def time_table(learning: Learning, trials: Sequence[int]) -> tuple[list[str], li
         seconds = [sum(o[f"{part}_cpu_s"][trial] for o, _ in origins) for part in parts]
         runs = sum(n for _, n in origins)
         cells.append([trial, trial * learning.plant.steps, *(f"{s / runs:.2f}" for s in seconds)])
+    return heads, cells
+
+
+def run_time_table(learnings: Sequence[Learning]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: what the trials of one repetition take, the thesis's hours beside our CPU hours.
+
+    Repetitions of a unit are computed together, so a repetition by itself would take longer than its share.
+    """
+    heads = ["", "thesis, 40 trials [h]", "trials", "ours [CPU h]", "at once", "on"]
+    cells: list[list[object]] = []
+    for learning in learnings:
+        origins = [record.header["provenance"] for record in learning.records]
+        hours = sum(origin["cpu_s"] for origin in origins) / 3600 / len(learning.seeds)
+        printed = thesis_value(f"figure-5.7/{NAMES[learning.config].split('/')[0]}/hours-40-trials")
+        together = sorted({len(record.seeds) for record in learning.records})
+        on = ", ".join(dict.fromkeys(origin["processor"] for origin in origins))
+        row = [learning.trials, f"{hours:.3f}", "-".join(map(str, together)), f"one core, {on}"]
+        cells.append([learning.label, printed and f"{printed:g}", *row])
+    return heads, cells
+
+
+def search_table(folder: Path | None = None) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: every setting that was tried for Deep PILCO on development seeds, and how it did."""
+    heads = [
+        "tried",
+        "changed",
+        "seeds",
+        "trials",
+        *(f"solved by {t}" for t in (10, 15, 20)),
+        "kept",
+        "cost at the end",
+    ]
+    found = records.find(EXPERIMENT, name=None, folder=folder)
+    tried = [r for r in found if r.header["name"].startswith("search/")]
+    base = next((r for r in tried if r.header["name"] == "search/start"), None)
+    cells: list[list[object]] = []
+    for name in dict.fromkeys(record.header["name"] for record in tried):
+        learning = from_records(name, [r for r in tried if r.header["name"] == name])
+        config = learning.records[0].header["config"]
+        changes = records.config_diff(base.header["config"], config) if base else []
+        words = ", ".join(f"`{key}` {old} → {new}" for key, old, new in changes) or "the settings it began with"
+        by = [_share(learning.solved_by(t)) for t in (10, 15, 20)]
+        end = learning.cost_at(learning.trials)
+        cells.append([
+            name.removeprefix("search/"), words, f"{min(learning.seeds)}-{max(learning.seeds)}", learning.trials,
+            *by, _share(learning.kept), f"{end.value:.2f} [{end.low:.2f}, {end.high:.2f}]",
+        ])  # fmt: skip
     return heads, cells

@@ -1,4 +1,4 @@
-"""Figures 5.5-5.7 and the pictures of section 5.4: numbers in, axes out."""
+"""Figures 5.5-5.8 and the pictures of section 5.4: numbers in, axes out."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from dropout_uncertainty.plotting import COLOURS
 from dropout_uncertainty.results import thesis_value
 
 __all__ = [
-    "angles", "cart_pole", "figure_5_5", "figure_5_6", "figure_5_7", "gradient_shares", "matched_output",
+    "angles", "cart_pole", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_8", "gradient_shares", "matched_output",
     "predicted_and_realised", "predicted_trial", "snapshots",
 ]  # fmt: skip
 
@@ -155,7 +155,7 @@ def angles(ax: Axes, learning: Learning, trial: int, replica: int = 0, *, colour
     """Draw the angle that one repetition predicted for a trial, with two standard deviations, and what happened."""
     t = learning.plant.dt * np.arange(learning.plant.steps + 1)
     mean = learning.arrays["predicted_mean"][replica, trial, :, 3]
-    std = np.sqrt(learning.arrays["predicted_variance"][replica, trial, :, 3])
+    std = learning.predicted_std[replica, trial, :, 3]
     ax.fill_between(t, mean - 2 * std, mean + 2 * std, color=colour, alpha=0.25, linewidth=0, label="predicted")
     ax.plot(t, mean, color=colour)
     ax.plot(t, learning.arrays["states"][replica, trial, :, 3], color="black", linewidth=1.3, label="happened")
@@ -167,12 +167,7 @@ def predicted_trial(axes: Sequence[Axes], learning: Learning, trials: Sequence[i
     """Draw the predicted and the true angle of several trials side by side; 0 is upright, and so is every full turn."""
     for ax, trial in zip(axes, trials, strict=True):
         angles(ax, learning, trial, replica)
-        true = learning.arrays["states"][replica, trial, :, 3]
-        middle, half = (true.max() + true.min()) / 2, max(1.3 * np.pi, 0.75 * np.ptp(true))
-        ax.set_ylim(middle - half, middle + half)
-        for turn in range(-12, 13):
-            if abs(2 * np.pi * turn - middle) < half:
-                ax.axhline(2 * np.pi * turn, color="#888888", linewidth=0.8, linestyle=":")
+        _turns(ax, learning.arrays["states"][replica, trial, :, 3], margin=0.5 * np.pi)
     for ax in axes[1:]:
         ax.set_ylabel("")
     axes[0].legend(fontsize=9)
@@ -219,6 +214,36 @@ def figure_5_7(ax: Axes, learnings: Sequence[Learning], *, printed: bool = True)
     ax.set_xticks([], minor=True)
     ax.legend(fontsize=9, loc="lower left")
     return ax
+
+
+def figure_5_8(axes: Sequence[Axes], learning: Learning, trials: Sequence[int], replica: int) -> None:
+    """Draw Figure 5.8, one panel per trial: the predicted angle in blue, true trials of the controller in green.
+
+    Prediction: mean and two standard deviations, by the model that has seen as many trials as the title says. Dotted
+    lines are upright: 0 and every full turn.
+    """
+    t = np.arange(learning.plant.steps + 1)
+    for ax, trial in zip(axes, trials, strict=True):
+        mean = learning.arrays["predicted_mean"][replica, trial, :, 3].astype(float)
+        std = learning.predicted_std[replica, trial, :, 3]
+        ax.fill_between(t, mean - 2 * std, mean + 2 * std, color=COLOURS["deep-pilco"], alpha=0.3, linewidth=0)
+        ax.plot(t, mean, color=COLOURS["deep-pilco"], label="predicted, two std")
+        true = analysis.repeats(learning, trial)[replica, :, :, 3]
+        ax.plot(t, true.T, color="#117733", linewidth=1, label=["true trials", *[""] * (len(true) - 1)])
+        _turns(ax, true, margin=0.75 * np.pi)
+        ax.set(xlabel="time step", title=f"({'abcdefgh'[list(trials).index(trial)]}) after trial {trial}")
+    axes[0].set_ylabel(r"angle $\theta$ [rad]")
+    axes[0].legend(fontsize=9, loc="lower left")
+
+
+def _turns(ax: Axes, true: np.ndarray, margin: float) -> None:
+    """Limit the angles to those that occur, with a margin, and mark every upright one."""
+    low, high = true.min() - margin, true.max() + margin
+    middle, half = (low + high) / 2, max((high - low) / 2, 1.3 * np.pi)
+    ax.set_ylim(middle - half, middle + half)
+    for turn in range(-12, 13):
+        if abs(2 * np.pi * turn - middle) < half:
+            ax.axhline(2 * np.pi * turn, color="#888888", linewidth=0.8, linestyle=":")
 
 
 def gradient_shares(axes: Sequence[Axes], learning: Learning, trial: int) -> None:
