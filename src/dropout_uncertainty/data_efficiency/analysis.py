@@ -22,9 +22,10 @@ from dropout_uncertainty.results import Result, measured, thesis_value
 from dropout_uncertainty.stats import CONFIDENCE, Interval, bootstrap_interval, t_interval
 
 __all__ = [
-    "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "doubt_and_gradient", "excess_on_predictable",
-    "fitting_table", "from_arrays", "from_records", "load", "repeats", "results", "run_time_table", "search_table",
-    "share_interval", "share_solved", "solved_table", "steps_held", "steps_predicted", "time_table",
+    "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "check_quick_deep", "doubt_and_gradient",
+    "excess_on_predictable", "fitting_table", "from_arrays", "from_records", "load", "repeats", "results",
+    "run_time_table", "search_table", "share_interval", "share_solved", "solved_table", "steps_held",
+    "steps_predicted", "time_table",
 ]  # fmt: skip
 
 #: How each config is called in figures and tables; those of Figure 5.7 first.
@@ -117,6 +118,11 @@ class Learning:
             if first < self.trials:
                 share[i] = self.solved[i, int(first) + 1 :].mean()
         return share
+
+    @property
+    def typical(self) -> int:
+        """Number of a repetition whose first solved trial is in the middle of all: the one to show."""
+        return int(np.argsort(self.first_solved, kind="stable")[(len(self.costs) - 1) // 2])
 
     @property
     def trials_to_solve(self) -> Interval:
@@ -262,6 +268,22 @@ def check_quick(learning: Learning) -> None:
     best = float(trial_costs[:, 1:].min(1).mean())
     if not 0.2 <= best <= 0.9:
         raise ValueError(f"the best controlled trials cost {best:.2f} per step at the mean, outside 0.2 to 0.9")
+
+
+def check_quick_deep(learning: Learning) -> None:
+    """Check a short live run of Deep PILCO, five controlled trials, against wide bands set before it was first run.
+
+    Raises:
+        ValueError: naming the band that it leaves.
+    """
+    trial_costs, predicted = learning.trial_costs, learning.predicted_costs[:, 1:]
+    if not (trial_costs[:, 0] > 0.9).all():
+        raise ValueError(f"random trials cost {trial_costs[:, 0].round(2)} per step, expected more than 0.9")
+    if not ((predicted >= 0) & (predicted <= 1)).all():
+        raise ValueError(f"predicted costs per step lie between 0 and 1, got {predicted.round(2).tolist()}")
+    best = float(trial_costs[:, 1:].min())
+    if not 0.2 <= best <= 0.98:
+        raise ValueError(f"the best controlled trial costs {best:.2f} per step, outside 0.2 to 0.98")
 
 
 def results(folder: Path | None = None) -> list[Result]:

@@ -18,7 +18,7 @@ from dropout_uncertainty.results import thesis_value
 
 __all__ = [
     "angles", "cart_pole", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_8", "gradient_shares", "matched_output",
-    "predicted_and_realised", "predicted_trial", "snapshots",
+    "predicted_and_realised", "predicted_trial", "snapshots", "solved_over_trials",
 ]  # fmt: skip
 
 STATE, FORCE, DARK = "#DCE9F5", "#FBE6C8", "#333333"
@@ -190,11 +190,11 @@ def predicted_and_realised(ax: Axes, learning: Learning, trials: Sequence[int]) 
 def figure_5_7(ax: Axes, learnings: Sequence[Learning], *, printed: bool = True) -> Axes:
     """Draw Figure 5.7: mean cost per step against trial on a log axis, with one and two standard errors as two shades.
 
-    With ``printed``, vertical lines stand where the thesis prints a number of trials.
+    With ``printed``, dashed vertical lines stand where the thesis prints a number of trials, and solid ones where half
+    of these repetitions are solved.
     """
     for learning in learnings:
-        name = analysis.NAMES.get(learning.config, "pilco").replace("/", "-")
-        colour = COLOURS.get(name, COLOURS["pilco"])
+        colour = _colour(learning)
         trial, curves = np.arange(1, learning.trials + 1), learning.trial_costs[:, 1:]
         mean = curves.mean(0)
         dash = "--" if learning.config == "pilco-matlab" else "-"
@@ -203,6 +203,8 @@ def figure_5_7(ax: Axes, learnings: Sequence[Learning], *, printed: bool = True)
             error = curves.std(0, ddof=1) / np.sqrt(len(curves))
             for times in (1, 2):
                 ax.fill_between(trial, mean - times * error, mean + times * error, color=colour, alpha=0.2, linewidth=0)
+        if printed and math.isfinite(learning.trials_to_solve.value):
+            ax.axvline(learning.trials_to_solve.value, color=colour, linewidth=1.1)
     for identifier, name, colour in PRINTED if printed else ():
         trials = thesis_value(identifier) or math.nan
         ax.axvline(trials, color=colour, linestyle="--", linewidth=1.1)
@@ -213,6 +215,25 @@ def figure_5_7(ax: Axes, learnings: Sequence[Learning], *, printed: bool = True)
     ax.set_xticks(ticks, [str(t) for t in ticks])
     ax.set_xticks([], minor=True)
     ax.legend(fontsize=9, loc="lower left")
+    return ax
+
+
+def _colour(learning: Learning) -> str:
+    name = analysis.NAMES.get(learning.config, "pilco").replace("/", "-")
+    return COLOURS.get(name, COLOURS["pilco"])
+
+
+def solved_over_trials(ax: Axes, learnings: Sequence[Learning], *, ever: bool) -> Axes:
+    """Draw the share of repetitions solved by each trial (``ever``), or of those whose trial itself is solved."""
+    for learning in learnings:
+        trial, solved = np.arange(1, learning.trials + 1), learning.solved[:, 1:]
+        share = (np.logical_or.accumulate(solved, 1) if ever else solved).mean(0)
+        ax.step(trial, share, where="mid", color=_colour(learning), label=learning.label)
+    title = "solved so far" if ever else "this trial is solved"
+    ax.set(xlabel="trial", ylim=(-0.02, 1.02), title=title)
+    if ever:
+        ax.set_ylabel("share of repetitions")
+        ax.legend(fontsize=9, loc="lower right")
     return ax
 
 
