@@ -45,6 +45,12 @@ def test_what_is_written_comes_back(path, tmp_path):
     assert not list(tmp_path.rglob(".*")), "a temporary file was left"
 
 
+def test_seeds_with_a_record_are_not_missing_whatever_their_unit(path, tmp_path):
+    assert records.missing_seeds("toy", "ours/a", CONFIG, range(99, 103), tmp_path) == [99, 102]
+    assert records.missing_seeds("toy", "ours/a", {"rounds": 4}, (100, 101), tmp_path) == [100, 101]
+    assert records.missing_seeds("toy", "ours/b", CONFIG, (100, 101), tmp_path) == [100, 101]
+
+
 def test_a_record_is_never_replaced(path):
     before = path.read_bytes()
     records.write(path, ARRAYS, header())

@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import itertools
 import json
 import math
 import re
@@ -74,7 +75,7 @@ def run(
     scheduler: Annotated[str | None, typer.Option(help="of a Dask cluster to use, such as tcp://host:8786")] = None,
 ) -> None:
     """Compute the missing records of an experiment; a run that was stopped continues where it was."""
-    from dropout_uncertainty import runs
+    from dropout_uncertainty import records, runs
 
     if scheduler is not None:
         if workers > 1:
@@ -84,12 +85,19 @@ def run(
     if precision is not None:
         runs.precision_dtype(precision)
         options["precision"] = precision
-    modules = config_modules(known(experiment.replace("-", "_"), EXPERIMENTS, "experiment"))
-    names = config_names(config, modules)
-    numbers = seed_list(seeds)
+    experiment = known(experiment.replace("-", "_"), EXPERIMENTS, "experiment")
+    modules = config_modules(experiment)
+    names, numbers = config_names(config, modules), seed_list(seeds)
+
+    def missing(name: str) -> list[runs.Unit]:
+        left = records.missing_seeds(experiment, name, modules[name].CONFIGS[name], numbers)
+        return modules[name].units(name, left, **options) if left else []
+
     # Seed by seed, so that every config has its first repetition before any has its second.
-    by_seed = zip(*([unit for unit in modules[name].units(name, numbers, **options)] for name in names), strict=True)
-    units = [unit for group in by_seed for unit in group]
+    by_seed = itertools.zip_longest(*map(missing, names))
+    units = [unit for group in by_seed for unit in group if unit is not None]
+    if not units:
+        typer.echo("Nothing to do: these repetitions have their records.")
     context: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
     if scheduler is not None:
         context = runs.cluster(scheduler)

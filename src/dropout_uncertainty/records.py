@@ -16,7 +16,7 @@ import platform
 import subprocess
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -27,8 +27,8 @@ import numpy as np
 from dropout_uncertainty.errors import UserError
 
 __all__ = [
-    "Record", "RecordError", "checksum", "config_dict", "config_diff", "config_hash", "find", "provenance",
-    "read", "root", "verify", "write",
+    "Record", "RecordError", "checksum", "config_dict", "config_diff", "config_hash", "find", "missing_seeds",
+    "provenance", "read", "root", "verify", "write",
 ]  # fmt: skip
 
 SCHEMA = 1
@@ -252,6 +252,18 @@ def find(experiment: str, config: Any = None, *, name: str | None = None, folder
     if config is not None:
         found = [record for record in found if record.header["config_hash"] == config_hash(config)]
     return found
+
+
+def missing_seeds(
+    experiment: str, name: str, config: Any, seeds: Iterable[int], folder: Path | None = None
+) -> list[int]:
+    """Return the seeds that no record of this config has yet, whatever the units that its records were made in.
+
+    Raises:
+        RecordError: if one of the records cannot be trusted.
+    """
+    have = {seed for record in find(experiment, config, name=name, folder=folder) for seed in record.seeds}
+    return [seed for seed in seeds if seed not in have]
 
 
 def verify(folder: Path | None = None) -> list[tuple[Path, str | None]]:

@@ -110,9 +110,9 @@ def test_a_controller_that_cannot_be_evaluated_is_redrawn_and_counted(finished):
 
 
 def test_units_cut_seeds_into_batches_and_presets_differ_in_the_plant_only():
-    units = experiment.units("pilco-paper", range(100, 112))
-    assert [len(unit.seeds) for unit in units] == [5, 5, 2]
-    assert units[0].label == "data_efficiency/pilco-paper/100-104"
+    units = experiment.units("pilco-paper", range(100, 145))
+    assert [len(unit.seeds) for unit in units] == [20, 20, 5]
+    assert units[0].label == "data_efficiency/pilco-paper/100-119"
     assert replace(experiment.PILCO_PAPER, plant=MATLAB) == experiment.PILCO_MATLAB
 
 
