@@ -151,11 +151,11 @@ def matched_output(
     output.legend(fontsize=9, loc="upper right")
 
 
-def angles(ax: Axes, learning: Learning, trial: int, replica: int = 0, *, colour: str = COLOURS["pilco"]) -> Axes:
+def angles(ax: Axes, learning: Learning, trial: int, replica: int = 0) -> Axes:
     """Draw the angle that one repetition predicted for a trial, with two standard deviations, and what happened."""
     t = learning.plant.dt * np.arange(learning.plant.steps + 1)
     mean = learning.arrays["predicted_mean"][replica, trial, :, 3]
-    std = learning.predicted_std[replica, trial, :, 3]
+    std, colour = learning.predicted_std[replica, trial, :, 3], _colour(learning)
     ax.fill_between(t, mean - 2 * std, mean + 2 * std, color=colour, alpha=0.25, linewidth=0, label="predicted")
     ax.plot(t, mean, color=colour)
     ax.plot(t, learning.arrays["states"][replica, trial, :, 3], color="black", linewidth=1.3, label="happened")
