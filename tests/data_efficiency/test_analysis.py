@@ -1,7 +1,6 @@
 """Learning curves: what counts as solved and kept, verdicts that follow their rules, pictures that show the numbers."""
 
 from dataclasses import asdict
-from xml.etree import ElementTree
 
 import matplotlib
 import numpy as np
@@ -12,7 +11,7 @@ import matplotlib.pyplot as plt
 
 from dropout_uncertainty import records
 from dropout_uncertainty.data_efficiency import analysis, figures
-from dropout_uncertainty.data_efficiency.animation import SwingUp
+from dropout_uncertainty.data_efficiency.animation import swing_up
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER
 from dropout_uncertainty.data_efficiency.claims import CLAIMS
 from dropout_uncertainty.data_efficiency.experiment import CONFIGS, PILCO_PAPER
@@ -235,6 +234,11 @@ def test_quick_run_is_held_to_its_bands():
     analysis.check_quick(good)
     with pytest.raises(ValueError, match=r"outside 0\.2 to 0\.9"):
         analysis.check_quick(learning([99, 99]))
+    analysis.check_quick_deep(good)
+    with pytest.raises(ValueError, match=r"outside 0\.2 to 0\.98"):
+        analysis.check_quick_deep(learning([99, 99]))
+    with pytest.raises(ValueError, match="random trials cost"):
+        analysis.check_quick_deep(learning([0, 0]))
 
 
 def test_pictures_show_the_numbers():
@@ -244,12 +248,31 @@ def test_pictures_show_the_numbers():
     np.testing.assert_allclose(axes[0].lines[0].get_ydata(), found.trial_costs[:, 1:].mean(0))
     assert axes[0].get_xscale() == "log"
     positions = [line.get_xdata()[0] for line in axes[0].lines[1:]]
-    assert positions == [5, 42, 400, 2500]
+    assert positions == [3, 5, 42, 400, 2500]  # ours, then the printed ones
     figures.gradient_shares(list(axes), found, 2)
     np.testing.assert_allclose(axes[1].lines[0].get_ydata(), analysis.doubt_and_gradient(found, 2)[1][0])
     _, axes = plt.subplots(1, 2)
     figures.predicted_and_realised(axes[0], found, (1, 2))
     figures.predicted_trial(list(axes), found, (1, 2))
+    plt.close("all")
+
+
+def test_pictures_of_deep_pilco_show_the_numbers():
+    found = analysis.from_arrays("deep-pilco-ours", PAPER, deep_arrays(12), range(8))
+    assert found.typical == 3
+    _, axes = plt.subplots(1, 4)
+    figures.figure_5_8(list(axes), found, analysis.PANELS, found.typical)
+    assert [ax.get_title() for ax in axes] == [
+        f"({k}) after trial {t}" for k, t in zip("abcd", (1, 10, 20, 26), strict=True)
+    ]
+    np.testing.assert_allclose(axes[1].lines[0].get_ydata(), found.arrays["predicted_mean"][3, 10, :, 3])
+    np.testing.assert_allclose(axes[1].lines[1].get_ydata(), found.arrays["states"][3, 10, :, 3])
+    assert len(axes[1].get_lines()) > 7  # prediction, the trial and five more, upright
+    lost = learning([2, 3, 5, 99], lost=(7,))
+    figures.solved_over_trials(axes[0], [lost], ever=True)
+    figures.solved_over_trials(axes[1], [lost], ever=False)
+    assert axes[0].lines[-1].get_ydata()[6] == 0.75
+    assert axes[1].lines[-1].get_ydata()[6] == 0
     plt.close("all")
 
 
@@ -268,18 +291,18 @@ def test_plant_of_a_record_is_that_of_its_config(tmp_path):
     assert asdict(plant) == asdict(PAPER)
 
 
-def test_the_moving_picture_holds_every_state_and_loads_nothing():
+def test_the_moving_picture_shows_every_state_in_real_time():
     states = np.zeros((STEPS + 1, 4))
     states[:, 0], states[:, 3] = np.linspace(0, 0.5, STEPS + 1), np.linspace(np.pi, 0, STEPS + 1)
-    picture = SwingUp(PAPER, {"trial 1": states, "a < b": states})._repr_html_()
-    assert "http" not in picture
-    assert "<script" not in picture
-    tree = ElementTree.fromstring(picture)
-    moves = [m.get("values").split(";") for m in tree.iter("animateTransform")]
-    assert [len(values) for values in moves] == [STEPS + 1] * 4
-    assert moves[0][-1] == "50.0,0"
-    assert moves[1][0] == "-180.0"
-    assert {m.get("dur") for m in tree.iter("animateTransform")} == {"2.5s"}
-    assert len(picture) < 10_000
+    player = swing_up(PAPER, {"trial 1": states, "a < b": states})
+    assert len(player.frames) / player.rate == pytest.approx(PAPER.steps * PAPER.dt, abs=0.06)
+    middle = player.size[0] / 4
+    first, last = (player.frames[i][1].attributes for i in (0, -1))  # the pole of the first panel
+    assert (first["x1"], first["x2"]) == pytest.approx((middle, middle), abs=0.1)
+    assert first["y2"] - first["y1"] == pytest.approx(60, abs=0.1)  # hangs: y points down
+    assert (last["x1"], last["x2"]) == pytest.approx((middle + 50, middle + 50), abs=0.1)
+    assert last["y2"] - last["y1"] == pytest.approx(-60, abs=0.1)
+    assert player.labels[-1] == "2.50 s"
+    assert "a &lt; b" in player._repr_html_()
     with pytest.raises(ValueError, match=r"expected states of shape \(26, 4\)"):
-        SwingUp(PAPER, {"short": states[:3]})
+        swing_up(PAPER, {"short": states[:3]})

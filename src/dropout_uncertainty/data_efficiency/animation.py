@@ -1,80 +1,86 @@
-"""Trials of the cart-pole that move: one SVG, a few kilobytes, which plays in real time when it is clicked.
-
-The picture needs no script and no other file; what does not play it shows the start of the trial.
-"""
+"""Trials of the cart-pole, side by side, as an animation for a page (see ``player``)."""
 
 from collections.abc import Mapping
-from html import escape
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
-from dropout_uncertainty.data_efficiency.cartpole import CartPole
+from dropout_uncertainty.data_efficiency.cartpole import CartPole, tip
+from dropout_uncertainty.data_efficiency.figures import CART
+from dropout_uncertainty.player import Player, Shape, circle, line, polygon, text
 
-__all__ = ["SwingUp"]
+__all__ = ["swing_up"]
 
-SCALE = 100  # pixels per metre
-CART = (0.3, 0.12)  # width and height of the drawn cart [m]
+SCALE = 100  # units of the drawing per metre
 #: A panel shows no more of the track than this on either side of its middle [m]; a cart may leave it.
 FURTHEST = 1.2
-MOVE = (
-    '<animateTransform attributeName="transform" type="{kind}" values="{values}" dur="{duration:g}s" '
-    'begin="{name}.click" fill="freeze" additive="replace"/>'
-)
+#: Frames per control interval: between its ends the state is drawn on a straight line.
+SMOOTH = 2
+HEAD = 34
 
 
-class SwingUp:
-    """Trials side by side, with the goal of each as a black cross.
-
-    Args:
-        plant: the cart-pole, drawn to scale.
-        trials: true states [T + 1, 4] by the title of the panel.
-        name: identifier of the picture, letters only, one per page.
+def swing_up(plant: CartPole, trials: Mapping[str, Float[np.ndarray, "times 4"]]) -> Player:
+    """Return an animation, in real time, of true states [T + 1, 4] by the title of their panel; a cross is the goal.
 
     Raises:
         ValueError: if the states are not [T + 1, 4] of the plant.
     """
+    for states in trials.values():
+        if np.shape(states) != (plant.steps + 1, 4):
+            raise ValueError(f"expected states of shape {(plant.steps + 1, 4)}, got {np.shape(states)}")
+    furthest = max(float(np.abs(states[:, 0]).max()) for states in trials.values())
+    half = SCALE * min(furthest + plant.pole_length + 0.1, FURTHEST)
+    middles = [half * (2 * number + 1) for number in range(len(trials))]
+    height = HEAD + SCALE * plant.pole_length
+    times = np.arange(SMOOTH * plant.steps + 1) / SMOOTH
+    smooth = [
+        np.stack([np.interp(times, np.arange(plant.steps + 1), column) for column in np.asarray(states, float).T], -1)
+        for states in trials.values()
+    ]
+    frames = [
+        [
+            shape
+            for middle, states in zip(middles, smooth, strict=True)
+            for shape in _moving(plant, states[i], middle, height)
+        ]
+        for i in range(len(times))
+    ]
+    background = [
+        shape
+        for middle, title in zip(middles, trials, strict=True)
+        for shape in _still(plant, title, middle, half, height)
+    ]
+    description = f"The cart-pole in {len(trials)} trials side by side: {', '.join(trials)}; a cross marks the goal"
+    labels = [f"{plant.dt * t:.2f} s" for t in times]
+    size = (2 * half * len(trials), height + SCALE * (plant.pole_length + 0.15))
+    return Player(frames, size, description, labels, background=background, rate=SMOOTH / plant.dt)
 
-    def __init__(
-        self, plant: CartPole, trials: Mapping[str, Float[np.ndarray, "times 4"]], name: str = "swingup"
-    ) -> None:
-        for states in trials.values():
-            if np.shape(states) != (plant.steps + 1, 4):
-                raise ValueError(f"expected states of shape {(plant.steps + 1, 4)}, got {np.shape(states)}")
-        self.plant, self.trials, self.name = plant, dict(trials), name
-        furthest = max(float(np.abs(states[:, 0]).max()) for states in self.trials.values())
-        self.width = 2 * min(furthest + plant.pole_length + 0.1, FURTHEST)
 
-    def _repr_html_(self) -> str:
-        """Return the picture; a notebook shows it."""
-        total, height = SCALE * self.width * len(self.trials), SCALE * (2 * self.plant.pole_length + 0.5)
-        panels = "".join(self._panel(i, *item) for i, item in enumerate(self.trials.items()))
-        label = f"The cart-pole in {len(self.trials)} trials: {', '.join(self.trials)}. Click to play."
-        look = f"width:100%;max-width:{total:.0f}px;background:white;cursor:pointer"
-        return (
-            f'<svg id="{self.name}" viewBox="0 0 {total:.0f} {height:.0f}" role="img" aria-label="{escape(label)}" '
-            f'font-family="sans-serif" style="{look}">{panels}</svg>'
-        )
+def _still(plant: CartPole, title: str, middle: float, half: float, height: float) -> list[Shape]:
+    """Return title, track and goal of a panel."""
+    track, goal = height + SCALE * CART[1] / 2, height - SCALE * plant.pole_length
+    return [
+        text(middle - half + 10, 16, title, font_size=15),
+        line(middle - half + 5, track, middle + half - 5, track, stroke_opacity=0.5),
+        line(middle - 6, goal - 6, middle + 6, goal + 6, stroke_width=4),
+        line(middle + 6, goal - 6, middle - 6, goal + 6, stroke_width=4),
+    ]
 
-    def _panel(self, number: int, title: str, states: np.ndarray) -> str:
-        length, width = SCALE * self.plant.pole_length, SCALE * self.width
-        box = f"{-width / 2:.0f} {-length - 30:.0f} {width:.0f} {2 * length + 50:.0f}"
-        wide, high = SCALE * CART[0], SCALE * CART[1]
-        cross = f"M-6,{-length - 6:g}l12,12m0,-12l-12,12"
-        x = [f"{SCALE * value:.1f},0" for value in states[:, 0]]
-        # counter-clockwise is positive; SVG turns clockwise since its y axis points down
-        turn = [f"{-np.degrees(value):.1f}" for value in states[:, 3]]
-        return (
-            f'<svg x="{number * width:.0f}" width="{width:.0f}" height="{2 * length + 50:.0f}" viewBox="{box}">'
-            f'<text y="{-length - 16:g}" text-anchor="middle" font-size="13">{escape(title)}</text>'
-            f'<path d="M{5 - width / 2:.0f},{high / 2:g}H{width / 2 - 5:.0f}" stroke="#999999"/>'
-            f'<path d="{cross}" stroke="black" stroke-width="4"/>'
-            f'<g transform="translate({x[0]})">{self._move("translate", x)}'
-            f'<rect x="{-wide / 2:g}" y="{-high / 2:g}" width="{wide:g}" height="{high:g}" fill="#BBBBBB" '
-            f'stroke="#333333"/><g transform="rotate({turn[0]})">{self._move("rotate", turn)}'
-            f'<path d="M0,0V{-length:g}" stroke="#333333" stroke-width="5" stroke-linecap="round"/></g></g></svg>'
-        )
 
-    def _move(self, kind: str, values: list[str]) -> str:
-        duration = self.plant.dt * self.plant.steps
-        return MOVE.format(kind=kind, values=";".join(values), duration=duration, name=self.name)
+def _moving(plant: CartPole, state: np.ndarray, middle: float, height: float) -> list[Shape]:
+    """Return cart, pole and pivot of a state."""
+    x = middle + SCALE * state[0]
+    wide, high = SCALE * CART[0] / 2, SCALE * CART[1] / 2
+    end_x, end_y = SCALE * tip(plant, torch.from_numpy(state)).numpy()
+    corners = [
+        (x - wide, height - high),
+        (x + wide, height - high),
+        (x + wide, height + high),
+        (x - wide, height + high),
+    ]
+    return [
+        polygon(corners, fill="#999999", stroke="currentColor"),
+        line(x, height, middle + end_x, height - end_y, stroke_width=5, stroke_linecap="round"),
+        circle(x, height, 3.5, fill="currentColor"),
+    ]
