@@ -85,6 +85,22 @@ def test_continued_equals_uninterrupted(finished, tmp_path):
         np.testing.assert_array_equal(other.result()[name], expected, err_msg=name)
 
 
+def test_a_longer_run_goes_on_from_the_records_of_shorter_ones(finished, tmp_path, monkeypatch):
+    monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(tmp_path))
+    shorter = replace(SHORT, trials=1)
+    unit = runs.Unit("data_efficiency", "short", experiment.start, shorter, (100, 101), "cpu", "float64")
+    seconds = runs.run_unit(unit).header["provenance"]["policy_cpu_s"]
+    process = experiment.start_longer(SHORT, (100, 101))
+    assert process.done == 2
+    assert process.seconds["policy"][:2] == pytest.approx(seconds)
+    for name, expected in finish(process).result().items():
+        np.testing.assert_array_equal(expected, finished.result()[name], err_msg=name)
+    (alone,) = experiment.start_longer(SHORT, (101,)).seconds["policy"][1:2]
+    assert alone == pytest.approx(seconds[1] / 2)
+    assert experiment.start_longer(SHORT, (101, 102)).done == 0  # nothing is known of 102
+    assert experiment.start_longer(replace(SHORT, basis=4), (100, 101)).done == 0
+
+
 def test_a_repetition_alone_equals_the_same_among_others(finished):
     alone = finish(experiment.start(SHORT, (101,))).result()
     for name in ("states", "forces", "predicted_mean", "hyper", "policy"):

@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -10,16 +10,17 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
-from dropout_uncertainty import rng
+from dropout_uncertainty import records, rng
 from dropout_uncertainty.data_efficiency import cartpole, controllers, deep_pilco_experiment, pilco
 from dropout_uncertainty.data_efficiency import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER, CartPole
 from dropout_uncertainty.data_efficiency.cost import cost, solved
 from dropout_uncertainty.data_efficiency.deep_pilco_experiment import DeepPilcoConfig
 from dropout_uncertainty.data_efficiency.squared_exponential import SquaredExponential
+from dropout_uncertainty.records import Record
 from dropout_uncertainty.runs import Unit
 
-__all__ = ["CONFIGS", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "units"]
+__all__ = ["CONFIGS", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer", "units"]
 
 EXPERIMENT = "data_efficiency"
 #: Repetitions per unit: what does not depend on the data (most of the time in the first trials) they share.
@@ -58,9 +59,13 @@ class PilcoConfig:
 PILCO_MATLAB = PilcoConfig(plant=MATLAB)
 #: The plant of the Deep PILCO paper, on which both methods of figure 5.7 are compared.
 PILCO_PAPER = replace(PILCO_MATLAB, plant=PAPER)
+#: Longer runs of the same learner, which go on from the records of shorter ones: more of the curve of figure 5.7, and
+#: (one repetition) the 40 trials whose hours the thesis gives.
+LONGER = {f"pilco-paper-{trials}": replace(PILCO_PAPER, trials=trials) for trials in (15, 40)}
 CONFIGS: dict[str, PilcoConfig | DeepPilcoConfig] = {
     "pilco-paper": PILCO_PAPER,
     "pilco-matlab": PILCO_MATLAB,
+    **LONGER,
     **deep_pilco_experiment.CONFIGS,
 }
 
@@ -205,11 +210,14 @@ class PilcoLearning:
             controller = self.shape.controller(self.policy)
             act = lambda observed, _: controllers.force(controller, plant, observed)  # noqa: E731
             rollout = cartpole.rollout(plant, begin, act, noise)
-        inputs, targets = pilco.transitions(rollout.observed, rollout.forces)
-        self.inputs, self.targets = torch.cat((self.inputs, inputs), 1), torch.cat((self.targets, targets), 2)
+        self._append(rollout.observed, rollout.forces)
         self.log["costs"][:, trial] = cost(plant, rollout.states[:, 1:])
         for name in ("states", "observed", "forces"):
             self.log[name][:, trial] = getattr(rollout, name)
+
+    def _append(self, observed: Tensor, forces: Tensor) -> None:
+        inputs, targets = pilco.transitions(observed, forces)
+        self.inputs, self.targets = torch.cat((self.inputs, inputs), 1), torch.cat((self.targets, targets), 2)
 
     def _draw(self, draw: Any, name: str) -> Tensor:
         return rng.stacked(draw, self.seeds, "environment", name, self.done)
@@ -238,7 +246,21 @@ class PilcoLearning:
             name: value.numpy() if name in self.CONTINUED else value.numpy().astype(np.float32)
             for name, value in self.log.items()
         }
-        return log | {name: value.numpy().astype(np.int32) for name, value in self.counts.items()}
+        inducing = {} if self.inducing is None else {"inducing": self.inducing.numpy()}
+        return log | inducing | {name: value.numpy().astype(np.int32) for name, value in self.counts.items()}
+
+    def take_over(self, arrays: Mapping[str, np.ndarray], seconds: Mapping[str, Sequence[float]]) -> None:
+        """Stand where a shorter run of the same learner ended, given the arrays of its record and its timings."""
+        self.done = done = arrays["costs"].shape[1]
+        for kept in (self.log, self.counts):
+            for name, values in kept.items():
+                values[:, :done] = torch.from_numpy(arrays[name])
+        for part, spent in self.seconds.items():
+            spent[:done] = seconds[part]
+        self.policy, self.hyper = self.log["policy"][:, done - 1].clone(), self.log["hyper"][:, done - 1].clone()
+        self.inducing = torch.from_numpy(arrays["inducing"]) if "inducing" in arrays else None
+        for trial in range(done):
+            self._append(self.log["observed"][:, trial], self.log["forces"][:, trial])
 
     def timings(self) -> dict[str, list[float]]:
         """Return CPU seconds per trial of all repetitions together, by part."""
@@ -256,6 +278,40 @@ def start(config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precis
     return PilcoLearning(config, seeds)
 
 
+def start_longer(
+    config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float64"
+) -> PilcoLearning:
+    """Return the process of one unit that stands where records of the same learner with fewer trials end.
+
+    Without records of all its seeds it begins at the beginning; the result is the same.
+    """
+    process = start(config, seeds, device, precision)
+    shorter = [record for record in records.find(EXPERIMENT) if _is_shorter(record, config)]
+    for trials in sorted({record.header["config"]["trials"] for record in shorter}, reverse=True):
+        place = {
+            seed: (record, row)
+            for record in shorter if record.header["config"]["trials"] == trials
+            for row, seed in enumerate(record.seeds)
+        }  # fmt: skip
+        if all(seed in place for seed in seeds):
+            rows = [place[seed] for seed in seeds]
+            arrays = {name: np.stack([r.arrays[name][row] for r, row in rows]) for name in rows[0][0].arrays}
+            process.take_over(arrays, {part: _seconds(part, [record for record, _ in rows]) for part in process.PARTS})
+            break
+    return process
+
+
+def _is_shorter(record: Record, config: PilcoConfig) -> bool:
+    differing = [field for field, *_ in records.config_diff(record.header["config"], config)]
+    return differing == ["trials"] and record.header["config"]["trials"] < config.trials
+
+
+def _seconds(part: str, found: Sequence[Record]) -> list[float]:
+    """Return the CPU seconds of some repetitions: of each the share that it has in its unit."""
+    shares = [np.array(record.header["provenance"][f"{part}_cpu_s"]) / len(record.seeds) for record in found]
+    return np.sum(shares, 0).tolist()
+
+
 def units(
     name: str, seeds: Sequence[int] = tuple(range(40)), device: str = "cpu", precision: str | None = None
 ) -> list[Unit]:
@@ -269,4 +325,5 @@ def units(
     if name in deep_pilco_experiment.CONFIGS:
         return deep_pilco_experiment.units(name, seeds, device, precision or "float32")
     groups = [tuple(seeds[i : i + GROUP]) for i in range(0, len(seeds), GROUP)]
-    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, precision or "float64") for group in groups]
+    begin = start_longer if name in LONGER else start
+    return [Unit(EXPERIMENT, name, begin, CONFIGS[name], group, device, precision or "float64") for group in groups]
