@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-__all__ = ["Player", "Shape", "circle", "line", "polygon", "text"]
+__all__ = ["Player", "Shape", "circle", "line", "polygon", "polyline", "text"]
 
 Number = int | float
 Value = str | Number
@@ -43,7 +43,16 @@ def line(x1: Number, y1: Number, x2: Number, y2: Number, **style: Value) -> Shap
 
 def polygon(points: Sequence[tuple[Number, Number]], **style: Value) -> Shape:
     """Return a closed shape with the given corners."""
-    return Shape("polygon", {"points": " ".join(f"{_short(x)},{_short(y)}" for x, y in points)} | _style(style))
+    return Shape("polygon", {"points": _points(points)} | _style(style))
+
+
+def polyline(points: Sequence[tuple[Number, Number]], **style: Value) -> Shape:
+    """Return an open line through the given points."""
+    return Shape("polyline", {"points": _points(points), "fill": "none"} | _style({"stroke": "currentColor"} | style))
+
+
+def _points(points: Sequence[tuple[Number, Number]]) -> str:
+    return " ".join(f"{_short(x)},{_short(y)}" for x, y in points)
 
 
 def text(x: Number, y: Number, content: str, **style: Value) -> Shape:

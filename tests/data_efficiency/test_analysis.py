@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 
 from dropout_uncertainty import records
 from dropout_uncertainty.data_efficiency import analysis, figures
-from dropout_uncertainty.data_efficiency.animation import swing_up
+from dropout_uncertainty.data_efficiency.animation import predictions, swing_up
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER
 from dropout_uncertainty.data_efficiency.claims import CLAIMS
 from dropout_uncertainty.data_efficiency.experiment import CONFIGS, PILCO_PAPER
@@ -306,3 +306,16 @@ def test_the_moving_picture_shows_every_state_in_real_time():
     assert "a &lt; b" in player._repr_html_()
     with pytest.raises(ValueError, match=r"expected states of shape \(26, 4\)"):
         swing_up(PAPER, {"short": states[:3]})
+
+
+def test_the_slider_has_every_trial_with_its_prediction():
+    found = analysis.from_arrays("deep-pilco-ours", PAPER, deep_arrays(12), range(8))
+    player = predictions(found, 0)
+    assert len(player.frames) == 40
+    assert player.labels[4] == "Trial 5: cost 1.00 per step, 1.00 predicted; not solved"
+    assert player.labels[11].endswith("solved")
+    assert "not" not in player.labels[11]
+    band, mean, true = (shape.attributes["points"].split() for shape in player.frames[11])
+    assert (len(band), len(mean), len(true)) == (52, 26, 26)
+    assert true[0] == mean[0]  # hanging
+    assert true[-1] != mean[-1]  # the prediction is off at the end

@@ -1,4 +1,4 @@
-"""Trials of the cart-pole, side by side, as an animation for a page (see ``player``)."""
+"""Trials of the cart-pole, and what was predicted of them, as animations for a page (see ``player``)."""
 
 from collections.abc import Mapping
 
@@ -6,11 +6,13 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from dropout_uncertainty.data_efficiency.analysis import Learning
 from dropout_uncertainty.data_efficiency.cartpole import CartPole, tip
 from dropout_uncertainty.data_efficiency.figures import CART
-from dropout_uncertainty.player import Player, Shape, circle, line, polygon, text
+from dropout_uncertainty.player import Player, Shape, circle, line, polygon, polyline, text
+from dropout_uncertainty.plotting import COLOURS
 
-__all__ = ["swing_up"]
+__all__ = ["predictions", "swing_up"]
 
 SCALE = 100  # units of the drawing per metre
 #: A panel shows no more of the track than this on either side of its middle [m]; a cart may leave it.
@@ -18,6 +20,9 @@ FURTHEST = 1.2
 #: Frames per control interval: between its ends the state is drawn on a straight line.
 SMOOTH = 2
 HEAD = 34
+#: Drawing of the predictions: size, space at the left and below, and the angles shown [rad].
+WIDE, HIGH, LEFT, BELOW = 640, 300, 60, 40
+LOWEST, HIGHEST = -1.5 * np.pi, 4.5 * np.pi
 
 
 def swing_up(plant: CartPole, trials: Mapping[str, Float[np.ndarray, "times 4"]]) -> Player:
@@ -84,3 +89,55 @@ def _moving(plant: CartPole, state: np.ndarray, middle: float, height: float) ->
         line(x, height, middle + end_x, height - end_y, stroke_width=5, stroke_linecap="round"),
         circle(x, height, 3.5, fill="currentColor"),
     ]
+
+
+def predictions(learning: Learning, replica: int) -> Player:
+    """Return Figure 5.8 for every trial of a repetition, to slide over: prediction in blue, true angle in green.
+
+    The band is two standard deviations wide to either side, as in ``figures.figure_5_8``.
+    """
+    steps = learning.plant.steps
+    x = LEFT + (WIDE - LEFT - 10) * np.arange(steps + 1) / steps
+    frames, labels = [], []
+    for trial in range(1, learning.trials + 1):
+        mean = learning.arrays["predicted_mean"][replica, trial, :, 3].astype(float)
+        std = learning.predicted_std[replica, trial, :, 3]
+        true = learning.arrays["states"][replica, trial, :, 3].astype(float)
+        upper, lower = (list(zip(x, _height(mean + sign * std), strict=True)) for sign in (2, -2))
+        blue, green = COLOURS["deep-pilco"], "#117733"
+        frames.append(
+            [
+                polygon(upper + lower[::-1], fill=blue, fill_opacity=0.35),
+                polyline(list(zip(x, _height(mean), strict=True)), stroke=blue, stroke_width=2),
+                polyline(list(zip(x, _height(true), strict=True)), stroke=green, stroke_width=2),
+            ]
+        )
+        outcome = "solved" if learning.solved[replica, trial] else "not solved"
+        costs = learning.predicted_costs[replica, trial], learning.trial_costs[replica, trial]
+        labels.append(f"Trial {trial}: cost {costs[1]:.2f} per step, {costs[0]:.2f} predicted; {outcome}")
+    description = (
+        f"The predicted angle over {steps} steps as a blue band and the true angle as a green line, one picture per "
+        f"trial from 1 to {learning.trials}; dotted lines are upright"
+    )
+    return Player(frames, (WIDE, HIGH), description, labels, background=_axes(x), rate=2)
+
+
+def _height(angle: np.ndarray) -> np.ndarray:
+    """Return where an angle stands in the drawing of the predictions; far ones stay outside of it."""
+    share = (np.clip(angle, LOWEST - np.pi, HIGHEST + np.pi) - LOWEST) / (HIGHEST - LOWEST)
+    return (HIGH - BELOW) * (1 - share)
+
+
+def _axes(x: np.ndarray) -> list[Shape]:
+    shapes = [line(x[0], 0, x[0], HIGH - BELOW), line(x[0], HIGH - BELOW, x[-1], HIGH - BELOW)]
+    for half_turns in range(-1, 5):
+        y = float(_height(np.array(half_turns * np.pi)))
+        name = {0: "0", 1: "π", -1: "−π"}.get(half_turns, f"{half_turns}π")
+        shapes.append(text(x[0] - 10, y + 5, name, text_anchor="end", font_size=14))
+        if half_turns % 2 == 0:
+            shapes.append(line(x[0], y, x[-1], y, stroke_dasharray="2 5"))
+    for step in range(0, len(x), 5):
+        shapes.append(text(x[step], HIGH - BELOW + 17, str(step), text_anchor="middle", font_size=14))
+    shapes.append(text(x[len(x) // 2], HIGH - 5, "time step", text_anchor="middle", font_size=14))
+    shapes.append(text(0, 14, "angle", font_size=14))
+    return shapes
