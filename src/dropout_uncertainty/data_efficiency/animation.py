@@ -130,8 +130,8 @@ def _height(angle: np.ndarray) -> np.ndarray:
 
 def _axes(x: np.ndarray) -> list[Shape]:
     shapes = [line(x[0], 0, x[0], HIGH - BELOW), line(x[0], HIGH - BELOW, x[-1], HIGH - BELOW)]
-    for half_turns in range(-1, 5):
-        y = float(_height(np.array(half_turns * np.pi)))
+    turns = np.arange(-1, 5)
+    for half_turns, y in zip(turns.tolist(), _height(turns * np.pi).tolist(), strict=True):
         name = {0: "0", 1: "π", -1: "−π"}.get(half_turns, f"{half_turns}π")
         shapes.append(text(x[0] - 10, y + 5, name, text_anchor="end", font_size=14))
         if half_turns % 2 == 0:
