@@ -29,6 +29,7 @@ EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "data_efficiency": (
         "dropout_uncertainty.data_efficiency.experiment",
         "dropout_uncertainty.data_efficiency.deep_pilco_experiment",
+        "dropout_uncertainty.data_efficiency.what_matters",
     ),
 }
 

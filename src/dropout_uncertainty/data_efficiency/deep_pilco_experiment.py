@@ -303,7 +303,7 @@ class DeepPilcoLearning:
 class SearchRun(DeepPilcoLearning):
     """The same, with a small record: only how each trial went."""
 
-    KEPT = ("costs", "predicted_cost", "model_loss")
+    KEPT: tuple[str, ...] = ("costs", "predicted_cost", "model_loss")
 
     def result(self) -> dict[str, np.ndarray]:
         """Return predicted and realised costs [R, trial, T] in half precision, and how often something was mended."""

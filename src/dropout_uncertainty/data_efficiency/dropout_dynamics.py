@@ -60,6 +60,7 @@ class DropoutDynamics:
         activation: "relu" or "sigmoid".
         angle_features: give the network sin θ and cos θ in place of θ.
         standardise: scale inputs and targets to mean 0 and standard deviation 1 over the data of each fit.
+        ends: numbers of inputs and outputs, if they are not those of the cart-pole.
         dtype: of the networks.
         device: of the networks.
 
@@ -77,6 +78,7 @@ class DropoutDynamics:
         activation: str = "relu",
         angle_features: bool = True,
         standardise: bool = True,
+        ends: tuple[int, int] | None = None,
         dtype: torch.dtype = torch.float32,
         device: str = "cpu",
     ) -> None:
@@ -85,13 +87,12 @@ class DropoutDynamics:
                 f"expected the activation relu or sigmoid, which is 0 for a dropped unit, got {activation}"
             )
         self.angle_features, self.standardise, self.activation = angle_features, standardise, activation
-        width = len(FEATURE_NAMES if angle_features else STATE_NAMES) + 1
-        self.sizes = (width, *hidden, len(STATE_NAMES))
+        width, outputs = ends or (len(FEATURE_NAMES if angle_features else STATE_NAMES) + 1, len(STATE_NAMES))
+        self.sizes = (width, *hidden, outputs)
         self.drop = (input_drop, *(drop for _ in hidden))
         self.seeds = tuple(seeds)
         self.net = MLP(self.sizes, self.drop, self.seeds, activation=activation, dtype=dtype).to(device)
-        runs, outputs = len(self.seeds), len(STATE_NAMES)
-        blank = torch.zeros(runs, 1, 1, dtype=dtype, device=device)
+        blank = torch.zeros(len(self.seeds), 1, 1, dtype=dtype, device=device)
         self.log_noise = nn.Parameter(blank.expand(-1, 1, outputs) + LOG_NOISE_START)
         self.input_mean, self.input_std = blank.expand(-1, 1, width), blank.expand(-1, 1, width) + 1
         self.target_mean, self.target_std = blank.expand(-1, 1, outputs), blank.expand(-1, 1, outputs) + 1
@@ -105,7 +106,7 @@ class DropoutDynamics:
         """Return ``count`` weight draws per replica, a function of each replica's seed and the path."""
         return draw_masks(self.seeds, self.sizes[:-1], self.drop, count, *path, weight=self.log_noise)
 
-    def noise_std(self) -> Float[Tensor, "R 4"]:
+    def noise_std(self) -> Float[Tensor, "R E"]:
         """Return the learned standard deviation of the noise on each state difference, in SI units."""
         return (self._log_noise().exp() * self.target_std)[:, 0].detach()
 
@@ -130,7 +131,7 @@ class DropoutDynamics:
         rows = list(replicas)
         if rows == list(range(len(self.seeds))):
             return self
-        part = object.__new__(DropoutDynamics)
+        part = object.__new__(type(self))
         part.__dict__.update(self.__dict__)
         part.seeds = tuple(self.seeds[row] for row in rows)
         dtype, device = self.log_noise.dtype, self.log_noise.device
@@ -146,7 +147,7 @@ class DropoutDynamics:
     def fit(
         self,
         inputs: Float[Tensor, "R N D"],
-        targets: Float[Tensor, "R N 4"],
+        targets: Float[Tensor, "R N E"],
         *path: str | int,
         steps: int,
         rate: float,
@@ -214,10 +215,11 @@ class DropoutDynamics:
         return late + self._penalty(decays), repairs
 
     def _check(self, inputs: Tensor, targets: Tensor) -> None:
-        runs, width = len(self.seeds), self.sizes[0]
+        runs, width, outputs = len(self.seeds), self.sizes[0], self.sizes[-1]
         shapes = tuple(inputs.shape), tuple(targets.shape)
-        if inputs.shape[0] != runs or inputs.shape[2] != width or inputs.shape[:2] != targets.shape[:2]:
-            raise ValueError(f"expected inputs [{runs}, N, {width}] and targets [{runs}, N, 4], got {shapes}")
+        expected = (runs, inputs.shape[1], width), (runs, inputs.shape[1], outputs)
+        if shapes != expected:
+            raise ValueError(f"expected inputs [{runs}, N, {width}] and targets [{runs}, N, {outputs}], got {shapes}")
         if not (inputs.isfinite().all() and targets.isfinite().all()):
             raise ValueError("expected finite transitions, got NaN or infinity; look at the trials they come from")
 
