@@ -352,8 +352,7 @@ def fitting_table(learnings: Sequence[Learning]) -> tuple[list[str], list[list[o
         for rows in zip(*(fitting(learning, trial) for learning in learnings), strict=True):
             kind, _, words, _ = rows[0]
             printed = thesis_value(f"figure-5.8/deep-pilco/{kind}-after-{trial}")
-            numbers = [f"{i.value:.2g} [{i.low:.2g}, {i.high:.2g}]" for *_, i in rows]
-            cells.append([trial, words, printed and f"{printed:g}", *numbers])
+            cells.append([trial, words, printed and f"{printed:g}", *(_number(interval) for *_, interval in rows)])
     return heads, cells
 
 
@@ -373,6 +372,10 @@ def solved_table(learnings: Sequence[Learning], trials: Sequence[int]) -> tuple[
 
 def _trial(value: float, learning: Learning) -> str:
     return f"{value:.0f}" if np.isfinite(value) else f"> {learning.trials}"
+
+
+def _number(interval: Interval) -> str:
+    return f"{interval.value:.2g}" + (f" [{interval.low:.2g}, {interval.high:.2g}]" if interval.n > 1 else "")
 
 
 def _share(interval: Interval) -> str | None:
@@ -427,15 +430,14 @@ def search_table(folder: Path | None = None) -> tuple[list[str], list[list[objec
     tried = [r for r in found if r.header["name"].startswith("search/")]
     base = next((r for r in tried if r.header["name"] == "search/start"), None)
     cells: list[list[object]] = []
-    for name in dict.fromkeys(record.header["name"] for record in tried):
+    for name in sorted({r.header["name"] for r in tried}, key=lambda name: (name != "search/start", name)):
         learning = from_records(name, [r for r in tried if r.header["name"] == name])
         config = learning.records[0].header["config"]
         changes = records.config_diff(base.header["config"], config) if base else []
         words = ", ".join(f"`{key}` {old} → {new}" for key, old, new in changes) or "the settings it began with"
         by = [_share(learning.solved_by(t)) for t in (10, 15, 20)]
-        end = learning.cost_at(learning.trials)
         cells.append([
             name.removeprefix("search/"), words, f"{min(learning.seeds)}-{max(learning.seeds)}", learning.trials,
-            *by, _share(learning.kept), f"{end.value:.2f} [{end.low:.2f}, {end.high:.2f}]",
+            *by, _share(learning.kept), _number(learning.cost_at(learning.trials)),
         ])  # fmt: skip
     return heads, cells
