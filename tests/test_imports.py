@@ -6,7 +6,8 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "src" / "dropout_uncertainty"
 FOR_READERS = {
-    "book", "scoreboard", "sphinx_ext", "display", "interactive", "plotting", "figures", "animation", "gymnasium_env",
+    "book", "front", "scoreboard", "sphinx_ext", "display", "interactive", "plotting", "figures", "animation",
+    "gymnasium_env",
 }  # fmt: skip
 UNWANTED = ["matplotlib", "IPython", "ipykernel", "papermill", "nbformat", "sphinx", "markdown_it", "pandas"]
 

@@ -101,6 +101,17 @@ def test_run_times_come_in_the_order_of_the_pages():
     assert rows[0][2:] == [61, 100, 700, "2 × x", "2026-01-02"]
 
 
+def test_how_long_says_what_was_measured_and_what_was_not():
+    times = {"recorded": {"5_2_active_learning": {"seconds": 61.4}}, "quick": {"a": {"seconds": 300.0}}}
+    _, rows = scoreboard.how_long(times, ["5_2_active_learning", "a"], FOUND)
+    assert rows == [
+        ["[5_2_active_learning](5_2_active_learning.ipynb)", "61 s", "not run here", "1.1 core-hours", "not measured"],
+        ["[a](a.ipynb)", "not run here", "5 min", None, None],
+    ]
+    gpu = record("ours/a", [0], 1.0, device="cuda", wall_s=7200.0)
+    assert scoreboard.how_long(times, ["5_2_active_learning"], [gpu])[1][0][3:] == [None, "2.0 h"]
+
+
 def test_the_scoreboard_runs_last():
     assert book.notebooks()[-1] == book.LAST == "scoreboard"
 

@@ -66,6 +66,15 @@ def notebooks(
 
 
 @app.command()
+def front() -> None:
+    """Write the numbers in the README, and the pictures of README and first page, from the records."""
+    from dropout_uncertainty.front import write
+
+    for line in write():
+        typer.echo(line)
+
+
+@app.command()
 def run(
     experiment: Annotated[str, typer.Argument(help=", ".join(EXPERIMENTS))],
     config: Annotated[str, typer.Option(help="name of a config, or of a family of configs such as ours")],

@@ -12,7 +12,7 @@ from dropout_uncertainty.display import command
 from dropout_uncertainty.records import Record
 from dropout_uncertainty.results import MIN_REPETITIONS, Claim, Judgement, Verdict
 
-__all__ = ["VERDICTS", "behind", "costs", "run_times", "sentence", "tally", "verdicts"]
+__all__ = ["VERDICTS", "behind", "costs", "how_long", "run_times", "sentence", "tally", "verdicts"]
 
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
@@ -116,3 +116,34 @@ def run_times(times: Mapping[str, Mapping[str, Mapping[str, Any]]], names: Seque
                 numbers = [round(took[key]) for key in ("seconds", "cpu_seconds", "megabytes")]
                 rows.append([name, profile, *numbers, f"{took['cores']} × {took['processor']}", took["date"][:10]])
     return heads, rows
+
+
+def how_long(
+    times: Mapping[str, Mapping[str, Mapping[str, Any]]], names: Sequence[str], found: Sequence[Record]
+) -> Cells:
+    """Return what a reader has to wait for each notebook, by profile, from ``book.times()`` and the stored records.
+
+    The records of a chapter's experiment, which has the name of the notebook after its numbers, stand for profile
+    ``full``: core-hours of all that are stored, and hours of a GPU.
+    """
+    heads = ["notebook", "`recorded`", "`quick`", "`full`: CPU", "`full`: GPU"]
+    rows = []
+    for name in names:
+        own = [record for record in found if record.header["experiment"] == name.lstrip("0123456789_")]
+        cpu, gpu = ([r for r in own if r.header["device"] == device] for device in ("cpu", "cuda"))
+        full = [f"{_hours(cpu, 'cpu_s'):.1f} core-hours" if cpu else None, "not measured" if own else None]
+        if gpu:
+            full[1] = f"{_hours(gpu, 'wall_s'):.1f} h"
+        live = [_wait(times.get(profile, {}).get(name)) for profile in ("recorded", "quick")]
+        rows.append([f"[{name}]({name}.ipynb)", *live, *full])
+    return heads, rows
+
+
+def _hours(found: Sequence[Record], clock: str) -> float:
+    return sum(record.header["provenance"][clock] for record in found) / 3600
+
+
+def _wait(took: Mapping[str, Any] | None) -> str:
+    if took is None:
+        return "not run here"
+    return f"{took['seconds']:.0f} s" if took["seconds"] < 100 else f"{took['seconds'] / 60:.0f} min"

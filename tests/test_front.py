@@ -1,0 +1,155 @@
+"""What a reader sees first is what the records say: ten numbers, three pictures, sentences of the first page."""
+
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+from dropout_uncertainty import front, rng
+from dropout_uncertainty.active_learning.analysis import load_rows, share_tied
+from dropout_uncertainty.claims import collect
+from dropout_uncertainty.exploration import analysis as exploration
+from dropout_uncertainty.results import Result, thesis_value
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def results():
+    return collect()
+
+
+def result(identifier, ours=1.0, low=0.5, high=1.5, seeds=range(10), verdict="replicated"):
+    return Result(identifier, "%", "", 1.0, ours, low, high, list(seeds), "ours", verdict, [])
+
+
+def test_ten_numbers_and_each_has_one_of_the_thesis_beside_it():
+    assert len({headline.id for headline in front.HEADLINES}) == 10
+    for headline in front.HEADLINES:
+        assert thesis_value(headline.id) is not None
+        assert (ROOT / "notebooks" / f"{front.CHAPTERS[headline.section]}.ipynb").exists()
+
+
+def test_every_number_that_has_records_is_found(results):
+    """An id that nobody computes any more would read "no records yet" for ever."""
+    _, rows = front.numbers(results)
+    computed = {r.id for r in results}
+    assert {h.id for h in front.HEADLINES if h.section != "5.4"} <= computed
+    assert [row[3] == "no records yet" for row in rows] == [h.id not in computed for h in front.HEADLINES]
+
+
+def test_what_is_missing_or_was_not_reached_is_said():
+    some = [
+        result("table-5.1/random", 4.5678, 4.0, 5.0),
+        result("table-5.1/dropout/bald", 1.9, None, None, [0], "undecided"),
+        result("table-5.2/random", None, 80.0, None, range(5), None),
+        result("figure-5.4/thompson/first-crossing", 32.0, 24.0, None),
+    ]
+    rows = {h.id: row[2:] for h, row in zip(front.HEADLINES, front.numbers(some)[1], strict=True)}
+    assert rows["table-5.1/random"] == ["4.57", "4.57 [4, 5]", "10", "replicated"]
+    assert rows["table-5.1/dropout/bald"] == ["1.72", "1.9", "1", "undecided"]
+    assert rows["table-5.2/random"] == ["90", "not reached", "5", "undecided"]
+    assert rows["figure-5.4/thompson/first-crossing"] == ["25", "32 [24, …]", "10", "replicated"]
+    assert rows["figure-5.7/pilco/trials-to-solve"] == ["6.5", "no records yet", "0", "undecided"]
+
+
+def test_the_tally_counts_claims_only():
+    some = [result("claim/AL1"), result("claim/AL2", verdict="undecided"), result("table-5.1/random")]
+    assert front.tally(some) == "Of 2 claims of the chapter: 1 replicated, 1 undecided."
+
+
+# --- files that are written from the records, and must be written again when these change
+
+
+REMEDY = "the records have changed: run `dropout-uncertainty front`"
+
+
+def test_readme_has_the_numbers_of_the_records(results):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert text == front.readme(text, results), REMEDY
+
+
+def test_a_readme_without_the_marks_is_refused():
+    with pytest.raises(ValueError, match="the README must hold the lines"):
+        front.readme("# A title", [])
+
+
+@pytest.mark.parametrize("name", front.PICTURES)
+def test_picture_is_small_and_from_records_that_are_there(name):
+    svg = (ROOT / front.FOLDER / f"{name}.svg").read_text(encoding="utf-8")
+    assert len(svg) < 50_000
+    assert "prefers-reduced-motion" in svg
+    assert not re.search(r"<script|(?:href|src)=\"(?!data:)|@import|url\(", svg), "a picture must need nothing else"
+    drawn = front.PICTURES[name](None)
+    if drawn is not None:
+        assert _origin(svg) == _origin(drawn), REMEDY
+
+
+def _origin(svg):
+    return re.search(r"<desc>(Made from .*)</desc>", svg)[1]
+
+
+def test_digits_are_the_last_ones_asked_for():
+    assert front.digits() is not None
+    assert "active_learning/ours/dropout/bald/000.npz" in front.digits()
+
+
+def test_without_records_there_is_nothing_to_draw(tmp_path):
+    assert [draw(tmp_path) for draw in front.PICTURES.values()] == [None, None, None]
+
+
+# --- sentences of the first page; where one of these fails, the page must be read again
+
+
+def test_the_two_rows_that_could_not_choose():
+    rows = load_rows()
+    assert {share_tied(rows[f"softmax/{name}"]) for name in ("bald", "variation-ratios")} == {1.0}
+
+
+def test_who_never_explores_is_ahead_of_thompson_sampling_early_and_late():
+    ours = exploration.load("ours")
+    for first, last in exploration.BLOCKS:
+        assert ours["greedy"].mean(first, last).mean() > ours["thompson"].mean(first, last).mean()
+
+
+def test_thompson_sampling_departs_from_its_best_guess_to_the_end_and_the_texts_dropout_costs_reward():
+    demo, written = exploration.load("as-demo")["thompson"], exploration.load("as-written")["thompson"]
+    assert demo.share("explored", 500_000, 1_000_000).mean() > 0.05
+    assert written.mean(50_000, 200_000).max() < 0.95
+
+
+# --- what the README promises in five lines each
+
+
+@pytest.fixture
+def snippets():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert len(found) == 3
+    return dict(zip(("loop", "agent", "controller"), found, strict=True))
+
+
+def test_the_readmes_active_learning_loop_acquires(snippets):
+    class Learner:
+        def fit(self, labelled):
+            self.seen = labelled.shape
+
+        def log_probs(self, candidates, draws):
+            shape = 1, draws, candidates.shape[1], 2
+            return torch.rand(shape, generator=rng.generator(100)).log_softmax(-1)
+
+    learner = Learner()
+    names = {"learner": learner, "labelled": torch.arange(4), "unlabelled": torch.arange(4, 60), "rounds": 2}
+    exec(snippets["loop"], names)
+    assert learner.seen == (1, 14)
+    assert len(names["pool"].labelled) == 24
+
+
+def test_the_readmes_agent_and_controller_learn(snippets, capsys):
+    exec(snippets["agent"].replace("20_000", "1_000"), {})
+    small = "trials=1, model_steps=2, policy_steps=2, guard=1.0"
+    exec(snippets["controller"].replace("trials=10", small), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4
+    assert lines[-1].startswith("cost ")
