@@ -7,7 +7,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "src" / "dropout_uncertainty"
 FOR_READERS = {
     "book", "front", "scoreboard", "sphinx_ext", "display", "interactive", "plotting", "figures", "animation",
-    "gymnasium_env",
+    "gymnasium_env", "what_matters_figures",
 }  # fmt: skip
 UNWANTED = ["matplotlib", "IPython", "ipykernel", "papermill", "nbformat", "sphinx", "markdown_it", "pandas"]
 

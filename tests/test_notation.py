@@ -12,7 +12,9 @@ LOCAL = set("GIJOQVW")
 
 def test_every_name_beside_a_symbol_is_in_the_code():
     symbols = PAGE.split("## Symbols")[1].split("## Words")[0]
-    names = {re.split(r"\W", code)[0] for code in re.findall(r"^\| \$.*?\| .*?`(?:masks = net\.)?(.*?)`", symbols, re.M)}
+    names = {
+        re.split(r"\W", code)[0] for code in re.findall(r"^\| \$.*?\| .*?`(?:masks = net\.)?(.*?)`", symbols, re.M)
+    }
     assert len(names) > 10
     assert [name for name in sorted(names) if not re.search(rf"\b{name}\b", CODE)] == []
 

@@ -112,7 +112,7 @@ class Scaling:
         fit = lambda: float(gp.negative_log_likelihood(hyper[0], several, targets[0])[0].sum())  # noqa: E731
         inputs = linear_map(seed, d, q, torch.float64)
         policy = lambda: gaussian_trial(model, inputs, count)  # noqa: E731
-        return [(fit, config.model_iterations), (policy, config.policy_iterations * config.plant.steps / count)]
+        return [(fit, float(config.model_iterations)), (policy, config.policy_iterations * config.plant.steps / count)]
 
     def _deep(self, method: str, seed: int, n: int, q: int, d: int) -> list[tuple[Callable[[], float], float]]:
         """Return the work of some steps of the fit and of a step of the controller, and how often they occur."""
@@ -133,7 +133,7 @@ class Scaling:
         model, untrained = network(), network()
         inputs = linear_map(seed, d, q, self.dtype)
         policy = lambda: particle_trial(untrained, inputs, plan)  # noqa: E731
-        return [(fit, config.model_steps / count), (policy, config.policy_steps)]
+        return [(fit, config.model_steps / count), (policy, float(config.policy_steps))]
 
     def state(self) -> dict[str, Any]:
         """Return everything needed to continue."""
