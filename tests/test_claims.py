@@ -119,6 +119,7 @@ def test_without_records_every_claim_is_undecided_and_says_why(tmp_path):
 #: What the published records say. Where this changes, prose about it must be read again.
 PINNED = {
     "EX1": "replicated", "EX2": "partly", "EX3": "partly", "EX4": "partly", "EX5": "partly", "EX6": "partly",
+    "DE1": "partly", "DE2": "partly", "DE3": "partly", "DE9": "undecided", "DE11": "not replicated",
 }  # fmt: skip
 
 

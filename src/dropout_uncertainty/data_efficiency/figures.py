@@ -253,7 +253,7 @@ def figure_5_8(axes: Sequence[Axes], learning: Learning, trials: Sequence[int], 
         ax.plot(t, true.T, color="#117733", linewidth=1, label=["true trials", *[""] * (len(true) - 1)])
         _turns(ax, true, margin=0.75 * np.pi)
         ax.set(xlabel="time step", title=f"({'abcdefgh'[list(trials).index(trial)]}) after trial {trial}")
-    axes[0].set_ylabel(r"angle $\theta$ [rad]")
+    axes[0].set_ylabel(f"{learning.label}\nangle $\\theta$ [rad]")
     axes[0].legend(fontsize=9, loc="lower left")
 
 
