@@ -115,7 +115,6 @@ TRIED = replace(OURS, trials=25)
 SEARCH: dict[str, DeepPilcoConfig] = {
     "search/start": TRIED,
     "search/rate-decay": replace(TRIED, policy_final_rate=0.1),
-    "search/longer-fit": replace(TRIED, model_steps=1800),
 }
 CONFIGS: dict[str, DeepPilcoConfig] = {"deep-pilco-ours": OURS, "deep-pilco-as-written": AS_WRITTEN, **SEARCH}
 
