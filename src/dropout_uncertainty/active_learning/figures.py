@@ -46,6 +46,7 @@ def figure_5_1(axes: Sequence[Axes], rows: Mapping[str, Row], original: Mapping[
     for ax, (title, name) in zip(axes, (("BALD", "bald"), ("Variation Ratios", "variation-ratios")), strict=True):
         learning_curves(ax, rows, ["random", f"softmax/{name}", f"dropout/{name}"], original=original)
         ax.set_title(title)
+        ax.label_outer()
 
 
 def figure_5_2(ax: Axes, rows: Mapping[str, Row], original: Mapping[str, Row] | None = None) -> Axes:

@@ -68,8 +68,8 @@ def forest(axes: Sequence[Axes], comparisons: Sequence[Comparison]) -> None:
         style: dict[str, Any] = {"color": CLAIM_COLOURS[claim], "va": "center", "fontsize": SMALL, "rotation": 270}
         cost.text(1.02, sum(place) / 2, claim, transform=cost.get_yaxis_transform(), **style)
     success.set_yticks(range(len(names)), names)
-    success.set(ylim=(len(names) - 0.5, -0.5), xlabel="share solved, variant - ours")
-    cost.set(xlabel="mean cost per step, variant - ours")
+    success.set(ylim=(len(names) - 0.5, -0.5), xlabel="share solved,\nvariant - ours")
+    cost.set(xlabel="mean cost per step,\nvariant - ours")
 
 
 def _whisker(ax: Axes, row: int, interval: Interval, colour: str) -> None:
@@ -124,7 +124,9 @@ def objective(ax: Axes, seen: Inside) -> Axes:
     ax.set(xscale="log", xlabel="particles K", ylabel=f"objective - that with K = {seen.counts[-1]}")
     ax.set_xticks(seen.counts[:-1], [str(count) for count in seen.counts[:-1]])
     ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.legend(title="moments matched")
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.5 * (high - low))  # room for the legend
+    ax.legend(title="moments matched", loc="upper right")
     return ax
 
 
@@ -137,7 +139,7 @@ def optimisers(ax: Axes, seen: Inside) -> Axes:
             label = {"s": "by its own account", "o": "on fresh particles"}[marker] if row == 0 else None
             ax.plot(interval.value, row, marker, color=colour, markersize=7, label=label)
         ax.text(fresh.value, row - 0.18, words, fontsize=SMALL, ha="center")
-    ax.set(ylim=(len(OPTIMISER_WORDS) - 0.4, -0.6), yticks=[], xlabel="objective (mean cost per step)")
+    ax.set(ylim=(len(OPTIMISER_WORDS) - 0.2, -0.6), yticks=[], xlabel="objective (mean cost per step)")
     ax.margins(x=0.25)
     ax.legend(loc="lower right")
     return ax
@@ -210,9 +212,8 @@ def scaling(axes: Sequence[Axes], taken: Times) -> None:
             slopes = taken.local_exponents(method, axis).mean(0)
             for i, slope in enumerate(slopes):
                 middle = np.sqrt(sizes[i] * sizes[i + 1]), 1.12 * np.sqrt(mean[i] * mean[i + 1])
-                ax.text(*middle, f"{slope:.1f}", color=colour, fontsize=SMALL, ha="right", va="bottom")
+                ax.text(*middle, f"{round(slope, 1) + 0.0:.1f}", color=colour, fontsize=SMALL, ha="right", va="bottom")
         ax.set(xscale="log", yscale="log", xlabel=AXIS_WORDS[axis])
+        ax.margins(x=0.15)  # room for the first number
     axes[0].set_ylabel("CPU seconds per trial")
-    axes[0].legend(loc="upper left")
-    low, high = axes[0].get_ylim()
-    axes[0].set_ylim(low, 4 * high)  # room for the legend
+    axes[0].figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(METHODS))

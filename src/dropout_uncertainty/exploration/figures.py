@@ -63,7 +63,7 @@ HABITS = {
     "moves stopped by a wall": "blocked",
     "food eaten": "food",
     "poison eaten": "poison",
-    "moves that are not\nthe best known": "explored",
+    "moves that are not the best known": "explored",
 }
 
 
@@ -75,9 +75,9 @@ def habits(axes: Sequence[Axes], agents: Agents, *, points: int = 25) -> None:
             counts = np.stack([1000 * curves.share(name, *ticks) for ticks in itertools.pairwise(edges)], axis=1)
             middle = np.sqrt(edges[:-1] * edges[1:])
             band(ax, middle, counts, colour=COLOURS[curves.agent], label=curves.label)
-        ax.set(xscale="log", xlabel="ticks", title=title)
+        ax.set(xscale="log", xlabel="ticks", ylabel="per 1000 ticks", title=title)
         ax.set_ylim(bottom=0)
-    axes[0].set_ylabel("per 1000 ticks")
+        ax.label_outer()
     axes[0].legend()
 
 
