@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from dropout_uncertainty import front, rng
-from dropout_uncertainty.active_learning.analysis import load_rows, share_tied
 from dropout_uncertainty.claims import collect
 from dropout_uncertainty.exploration import analysis as exploration
 from dropout_uncertainty.results import Result, thesis_value
@@ -102,21 +101,70 @@ def test_without_records_there_is_nothing_to_draw(tmp_path):
 # --- sentences of the first page; where one of these fails, the page must be read again
 
 
-def test_the_two_rows_that_could_not_choose():
-    rows = load_rows()
-    assert {share_tied(rows[f"softmax/{name}"]) for name in ("bald", "variation-ratios")} == {1.0}
+@pytest.fixture(scope="module")
+def facts():
+    return front.facts()
 
 
-def test_who_never_explores_is_ahead_of_thompson_sampling_early_and_late():
+def number(text):
+    return float(text.split()[0].replace("−", "-"))
+
+
+def interval(text):
+    return [float(end) for end in re.search(r"\[(.*), (.*)\]", text.replace("−", "-")).groups()]
+
+
+def test_the_first_page_uses_every_fact_and_no_other(facts):
+    page = (ROOT / "book" / "index.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"{glue:text}`scoreboard\.ipynb::(\w+)`", page)) == sorted(facts)
+
+
+def test_no_fact_is_without_records(facts, tmp_path):
+    assert "–" not in facts.values()
+    nothing = front.facts(tmp_path)
+    assert {name for name, fact in nothing.items() if fact != "–"} == {"cells_minimum", "cells_last"}  # of the original
+
+
+def test_the_two_rows_that_could_not_choose(facts):
+    assert facts["tied"] == "100%"
+
+
+def test_the_printed_errors_are_lowest_points(facts):
+    assert facts["cells_minimum"] == "7 of 7"
+    assert number(facts["cells_last"]) < 7
+
+
+def test_who_never_explores_is_ahead_of_thompson_sampling_early_and_late(facts):
+    assert interval(facts["greedy_early"])[0] > 0
+    assert interval(facts["greedy_late"])[0] > 0
     ours = exploration.load("ours")
     for first, last in exploration.BLOCKS:
         assert ours["greedy"].mean(first, last).mean() > ours["thompson"].mean(first, last).mean()
 
 
-def test_thompson_sampling_departs_from_its_best_guess_to_the_end_and_the_texts_dropout_costs_reward():
-    demo, written = exploration.load("as-demo")["thompson"], exploration.load("as-written")["thompson"]
-    assert demo.share("explored", 500_000, 1_000_000).mean() > 0.05
-    assert written.mean(50_000, 200_000).max() < 0.95
+def test_thompson_sampling_departs_from_its_best_guess_to_the_end_and_the_texts_dropout_costs_reward(facts):
+    assert int(facts["departs"].rstrip("%")) > 5
+    assert number(facts["dropout_of_text"]) < number(facts["dropout_of_program"]) - 0.05
+
+
+def test_deep_pilco_needs_more_than_its_text_says(facts):
+    shares = {
+        name: number(facts[name]) / float(facts[name].split()[-1]) for name in ("solved_as_written", "solved_ours")
+    }
+    assert shares["solved_as_written"] < 0.5
+    assert shares["solved_ours"] > 0.9
+
+
+def test_holding_the_draw_does_nothing_once_moments_are_matched(facts):
+    assert interval(facts["held_free"])[0] > 1.5
+    low, high = interval(facts["held_matched"])
+    assert 0.95 < low < 1 < high < 1.05
+
+
+def test_a_learner_without_doubt_is_about_as_quick_and_pays_more(facts):
+    low, high = interval(facts["no_dropout_trials"])
+    assert low < 0 < high
+    assert interval(facts["no_dropout_cost"])[0] > 0
 
 
 # --- what the README promises in five lines each

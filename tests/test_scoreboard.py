@@ -108,6 +108,8 @@ def test_how_long_says_what_was_measured_and_what_was_not():
         ["[5_2_active_learning](5_2_active_learning.ipynb)", "61 s", "not run here", "1.1 core-hours", "not measured"],
         ["[a](a.ipynb)", "not run here", "5 min", None, None],
     ]
+    names = ["5_2_active_learning", "5_2_ours"]  # a notebook with a family of configs of its own
+    assert [row[3] for row in scoreboard.how_long({}, names, FOUND)[1]] == [None, "1.1 core-hours"]
     gpu = record("ours/a", [0], 1.0, device="cuda", wall_s=7200.0)
     assert scoreboard.how_long(times, ["5_2_active_learning"], [gpu])[1][0][3:] == [None, "2.0 h"]
 

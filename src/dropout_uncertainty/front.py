@@ -1,7 +1,7 @@
-"""What a reader sees first: ten numbers beside the thesis's and three pictures, all made from the records.
+"""What a reader sees first: ten numbers, three pictures and some findings, all made from the records.
 
-The landing page computes the numbers whenever the book is built. The README is static text and the pictures are files:
-``dropout-uncertainty front`` writes them again, and a test holds them to the records.
+The landing page computes numbers and findings whenever the book is built. The README is static text and the pictures
+are files: ``dropout-uncertainty front`` writes them again, and a test holds them to the records.
 """
 
 import base64
@@ -23,14 +23,16 @@ from dropout_uncertainty.active_learning import analysis as active_learning
 from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.claims import collect
 from dropout_uncertainty.data_efficiency import analysis as data_efficiency
+from dropout_uncertainty.data_efficiency import what_matters_analysis as what_matters
 from dropout_uncertainty.exploration import analysis as exploration
 from dropout_uncertainty.exploration import animation, drawing
 from dropout_uncertainty.exploration import world as w
 from dropout_uncertainty.plotting import COLOURS
 from dropout_uncertainty.records import Record
 from dropout_uncertainty.results import Result, thesis_value
+from dropout_uncertainty.stats import Interval
 
-__all__ = ["HEADLINES", "PICTURES", "Headline", "numbers", "readme", "tally", "write"]
+__all__ = ["FACTS", "HEADLINES", "PICTURES", "Headline", "facts", "numbers", "readme", "tally", "write"]
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 README, FOLDER = Path("README.md"), Path("book", "_static", "front")
@@ -59,9 +61,9 @@ HEADLINES: tuple[Headline, ...] = (
     Headline("5.2", "… chosen by BALD over weight draws", "table-5.1/dropout/bald"),
     Headline("5.2", "rounds of ten labels until 5 % error, at random", "table-5.2/random"),
     Headline("5.2", "… by BALD over weight draws", "table-5.2/dropout/bald"),
-    Headline("5.3", "batches until a reward of 1, Thompson sampling", "figure-5.4/thompson/first-crossing"),
+    Headline("5.3", "batches of 500 moves until reward 1, Thompson sampling", "figure-5.4/thompson/first-crossing"),
     Headline("5.3", "… ε-greedy", "figure-5.4/epsilon-greedy/first-crossing"),
-    Headline("5.4", "trials until the pole stands, PILCO", "figure-5.7/pilco/trials-to-solve"),
+    Headline("5.4", "trials until half of the runs have balanced the pole, PILCO", "figure-5.7/pilco/trials-to-solve"),
     Headline("5.4", "… Deep PILCO", "figure-5.7/deep-pilco/trials-to-solve"),
 )
 
@@ -120,6 +122,94 @@ def readme(text: str, found: Iterable[Result] | None = None) -> str:
     grid = "\n".join("| " + " | ".join(row) + " |" for row in [heads, [":---"] * len(heads), *rows])
     block = f"{BEGIN}\n{grid}\n\n{tally(found)}\n{END}"
     return re.sub(re.escape(BEGIN) + ".*?" + re.escape(END), lambda _: block, text, flags=re.DOTALL)
+
+
+# ------------------------------------------------------------------ numbers in sentences
+
+EARLY, LATE = (3_000, 50_000), (90_500, 200_000)  # ticks
+
+
+def facts(folder: Path | None = None) -> dict[str, str]:
+    """Return the numbers in the sentences of the first page, by the names that it uses; a dash without records."""
+    return {name: fact(folder) or "–" for name, fact in FACTS.items()}
+
+
+def _tied(folder: Path | None) -> str | None:
+    rows = active_learning.load_rows("ours", folder)
+    names = ("softmax/bald", "softmax/variation-ratios")
+    if not set(names) <= rows.keys():
+        return None
+    return f"{min(active_learning.share_tied(rows[name]) for name in names):.0%}"
+
+
+def _printed_cells(statistic: str) -> str:
+    """Return how many of the printed errors are a statistic of the original program's curves, to two decimals."""
+    rows = active_learning.original_rows()
+    same = [
+        f"{getattr(row, statistic).value:.2f}" == f"{thesis_value(f'table-5.1/{n}'):.2f}" for n, row in rows.items()
+    ]
+    return f"{sum(same)} of {len(same)}"
+
+
+def _greedy(ticks: tuple[int, int], folder: Path | None) -> str | None:
+    """Return by how much the agent without exploration earns more than Thompson sampling per tick."""
+    agents = exploration.load("ours", folder)
+    if not {"greedy", "thompson"} <= agents.keys():
+        return None
+    return _words(exploration.compare(agents["greedy"], agents["thompson"], *ticks))
+
+
+def _thompson(config: str, folder: Path | None, ticks: tuple[int, int], what: str | None = None) -> str | None:
+    """Return the mean reward per tick of a Thompson agent, or the share of its moves that are ``what``."""
+    curves = exploration.load(config, folder).get("thompson")
+    if curves is None:
+        return None
+    return f"{curves.mean(*ticks).mean():.2f}" if what is None else f"{curves.share(what, *ticks).mean():.0%}"
+
+
+def _solved(config: str, trial: int, folder: Path | None) -> str | None:
+    learning = data_efficiency.load(config, folder)
+    if learning is None or learning.trials < trial:
+        return None
+    share = learning.solved_by(trial)
+    return f"{share.value * share.n:.0f} of {share.n}"
+
+
+def _held(kind: str, folder: Path | None) -> str | None:
+    """Return how many times as wide Deep PILCO's prediction is if masks are held rather than redrawn."""
+    seen = what_matters.inside(folder)
+    if seen is None:
+        return None
+    return _words(what_matters.factor(seen.log_std_ratio(f"held-{kind}", f"redrawn-{kind}")))
+
+
+def _no_dropout(what: str, digits: int, folder: Path | None) -> str | None:
+    """Return what Deep PILCO without dropout needs more than with it."""
+    found = what_matters.compare("no-dropout", folder)
+    return None if found is None else _words(getattr(found, what), digits)
+
+
+def _words(interval: Interval, digits: int = 2) -> str:
+    return what_matters.words(interval, digits).replace("-", "−")
+
+
+#: The numbers by name; each is computed from the records of a folder.
+FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
+    "tied": _tied,
+    "cells_minimum": lambda folder: _printed_cells("minimum"),
+    "cells_last": lambda folder: _printed_cells("last"),
+    "greedy_early": lambda folder: _greedy(EARLY, folder),
+    "greedy_late": lambda folder: _greedy(LATE, folder),
+    "departs": lambda folder: _thompson("as-demo", folder, (500_000, 1_000_000), "explored"),
+    "dropout_of_text": lambda folder: _thompson("as-written", folder, LATE),
+    "dropout_of_program": lambda folder: _thompson("as-demo", folder, LATE),
+    "solved_as_written": lambda folder: _solved("deep-pilco-as-written", 25, folder),
+    "solved_ours": lambda folder: _solved("deep-pilco-ours", 25, folder),
+    "held_free": lambda folder: _held("free", folder),
+    "held_matched": lambda folder: _held("matched", folder),
+    "no_dropout_trials": lambda folder: _no_dropout("trials_difference", 1, folder),
+    "no_dropout_cost": lambda folder: _no_dropout("cost_difference", 2, folder),
+}
 
 
 # ------------------------------------------------------------------ three pictures

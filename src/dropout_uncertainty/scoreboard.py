@@ -123,13 +123,18 @@ def how_long(
 ) -> Cells:
     """Return what a reader has to wait for each notebook, by profile, from ``book.times()`` and the stored records.
 
-    The records of a chapter's experiment, which has the name of the notebook after its numbers, stand for profile
-    ``full``: core-hours of all that are stored, and hours of a GPU.
+    The records of a notebook stand for profile ``full``: core-hours of all that are stored, and hours of a GPU. They
+    are those whose experiment, or family of configs, has the name of the notebook after its numbers.
     """
     heads = ["notebook", "`recorded`", "`quick`", "`full`: CPU", "`full`: GPU"]
+    plain = {name.lstrip("0123456789_"): name for name in names}
+    of: dict[str | None, list[Record]] = {}
+    for record in found:
+        family = record.header["name"].split("/")[0].replace("-", "_")
+        of.setdefault(plain.get(family, plain.get(record.header["experiment"])), []).append(record)
     rows = []
     for name in names:
-        own = [record for record in found if record.header["experiment"] == name.lstrip("0123456789_")]
+        own = of.get(name, [])
         cpu, gpu = ([r for r in own if r.header["device"] == device] for device in ("cpu", "cuda"))
         full = [f"{_hours(cpu, 'cpu_s'):.1f} core-hours" if cpu else None, "not measured" if own else None]
         if gpu:
