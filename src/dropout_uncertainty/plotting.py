@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from dropout_uncertainty.stats import t_interval
 
-__all__ = ["COLOURS", "SMALL", "WIDTH", "band", "style", "use_style"]
+__all__ = ["COLOURS", "SMALL", "WIDTH", "band", "legend_above", "style", "use_style"]
 
 #: Width of the widest figures [inches]: at 96 dots per inch the column of text on a screen of 1300 pixels. The page
 #: would shrink wider ones, and their letters with them.
@@ -80,6 +80,15 @@ def use_style() -> None:
     plt.rcParams.update(RC)  # type: ignore[arg-type]
     if shell := get_ipython():
         InlineBackend.instance(parent=shell).figure_formats = {"retina"}
+
+
+def legend_above(*axes: Axes) -> None:
+    """Put what these axes show in one row above all panels of their figure, which are too narrow for a legend."""
+    figure = axes[0].figure
+    for earlier in figure.legends:
+        earlier.remove()
+    handles = [handle for ax in axes for handle in ax.get_legend_handles_labels()[0]]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), columnspacing=1.4)
 
 
 def band(ax: Axes, x: np.ndarray, curves: Float[np.ndarray, "R T"], *, colour: str, label: str, **line: Any) -> None:

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from dropout_uncertainty.data_efficiency import analysis
 from dropout_uncertainty.data_efficiency.analysis import Learning
 from dropout_uncertainty.data_efficiency.cartpole import PAPER, CartPole, tip
-from dropout_uncertainty.plotting import COLOURS, SMALL
+from dropout_uncertainty.plotting import COLOURS, SMALL, legend_above
 from dropout_uncertainty.results import thesis_value
 
 __all__ = [
@@ -210,13 +210,15 @@ def figure_5_7(ax: Axes, learnings: Sequence[Learning], *, printed: bool = True)
     for identifier, name, colour in PRINTED if printed else ():
         trials = thesis_value(identifier) or math.nan
         ax.axvline(trials, color=colour, linestyle="--", linewidth=1.1)
-        place: dict[str, Any] = {"rotation": 90, "va": "top", "ha": "right", "fontsize": SMALL, "color": colour}
-        ax.text(0.97 * trials, 0.98, f"{name}: {trials:g}", transform=ax.get_xaxis_transform(), **place)
+        place: dict[str, Any] = {"rotation": 90, "va": "top", "ha": "left", "fontsize": SMALL, "color": colour}
+        ground = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
+        ax.text(1.04 * trials, 0.98, f"{name}: {trials:g}", transform=ax.get_xaxis_transform(), bbox=ground, **place)
     ax.set(xscale="log", ylim=(0, 1.02), xlabel="trial", ylabel="mean cost per step")
+    ax.margins(x=0.07)  # room for the words beside the last line
     ticks = [t for t in (1, 2, 5, 10, 20, 50, 100, 400, 1000, 2500) if t <= ax.get_xlim()[1]]
     ax.set_xticks(ticks, [str(t) for t in ticks])
     ax.set_xticks([], minor=True)
-    ax.legend(loc="lower left")
+    ax.legend(loc="lower left", frameon=True, edgecolor="none")  # over the vertical lines
     return ax
 
 
@@ -235,7 +237,7 @@ def solved_over_trials(ax: Axes, learnings: Sequence[Learning], *, ever: bool) -
     ax.set(xlabel="trial", ylim=(-0.02, 1.02), title=title)
     if ever:
         ax.set_ylabel("share of repetitions")
-        ax.legend(loc="lower right")
+        legend_above(ax)
     return ax
 
 
@@ -256,7 +258,7 @@ def figure_5_8(axes: Sequence[Axes], learning: Learning, trials: Sequence[int], 
         _turns(ax, true, margin=0.75 * np.pi)
         ax.set(xlabel="time step", title=f"({'abcdefgh'[list(trials).index(trial)]}) after trial {trial}")
     axes[0].set_ylabel(f"{learning.label}\nangle $\\theta$ [rad]")
-    axes[0].legend(loc="lower left")
+    legend_above(axes[0])
 
 
 def _turns(ax: Axes, true: np.ndarray, margin: float) -> None:
@@ -286,10 +288,13 @@ def gradient_shares(axes: Sequence[Axes], learning: Learning, trial: int) -> Non
         low, middle, high = np.quantile(values, (0.25, 0.5, 0.75), axis=0)
         ax.plot(t, middle, color=colour, label=label)
         ax.fill_between(t, low, high, color=colour, alpha=0.2, linewidth=0)
-        ax.legend()
     axes[0].axhline(learning.plant.cost_width / learning.plant.pole_length, color=DARK, linewidth=0.8, linestyle=":")
-    axes[0].set(ylabel="std [rad]", yscale="log", title=f"trial {trial}")
-    axes[1].set(xlabel="time [s]", ylabel="share of the gradient", ylim=(0, None))
+    axes[0].set(yscale="log", title=f"trial {trial}")
+    axes[1].set(xlabel="time [s]", ylim=(0, None))
+    if axes[0].get_subplotspec().is_first_col():
+        axes[0].set_ylabel("std of the angle [rad]")
+        axes[1].set_ylabel("share of the gradient")
+        legend_above(*axes)
 
 
 def snapshots(ax: Axes, plant: CartPole, states: Float[np.ndarray, "times 4"], every: int = 2) -> Axes:

@@ -13,7 +13,7 @@ from dropout_uncertainty.data_efficiency.particles import MATCHING
 from dropout_uncertainty.data_efficiency.scaling import AXES, METHODS
 from dropout_uncertainty.data_efficiency.what_matters import VARIANTS
 from dropout_uncertainty.data_efficiency.what_matters_analysis import NOMINAL, Comparison, Inside, Times
-from dropout_uncertainty.plotting import COLOURS, SMALL, band
+from dropout_uncertainty.plotting import COLOURS, SMALL, band, legend_above
 from dropout_uncertainty.stats import Interval, t_interval
 
 __all__ = ["clouds", "curves", "forest", "gradients", "objective", "optimisers", "optimism", "parting", "scaling"]
@@ -212,8 +212,9 @@ def scaling(axes: Sequence[Axes], taken: Times) -> None:
             slopes = taken.local_exponents(method, axis).mean(0)
             for i, slope in enumerate(slopes):
                 middle = np.sqrt(sizes[i] * sizes[i + 1]), 1.12 * np.sqrt(mean[i] * mean[i + 1])
-                ax.text(*middle, f"{round(slope, 1) + 0.0:.1f}", color=colour, fontsize=SMALL, ha="right", va="bottom")
+                side = "right" if slope > 0.45 else "center"  # beside a steep line, above a flat one
+                ax.text(*middle, f"{round(slope, 1) + 0.0:.1f}", color=colour, fontsize=SMALL, ha=side, va="bottom")
         ax.set(xscale="log", yscale="log", xlabel=AXIS_WORDS[axis])
         ax.margins(x=0.15)  # room for the first number
     axes[0].set_ylabel("CPU seconds per trial")
-    axes[0].figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(METHODS))
+    legend_above(axes[0])

@@ -75,9 +75,10 @@ def habits(axes: Sequence[Axes], agents: Agents, *, points: int = 25) -> None:
             counts = np.stack([1000 * curves.share(name, *ticks) for ticks in itertools.pairwise(edges)], axis=1)
             middle = np.sqrt(edges[:-1] * edges[1:])
             band(ax, middle, counts, colour=COLOURS[curves.agent], label=curves.label)
-        ax.set(xscale="log", xlabel="ticks", ylabel="per 1000 ticks", title=title)
+        place = ax.get_subplotspec()
+        ax.set(xscale="log", title=title)
+        ax.set(xlabel="ticks" if place.is_last_row() else "", ylabel="per 1000 ticks" if place.is_first_col() else "")
         ax.set_ylim(bottom=0)
-        ax.label_outer()
     axes[0].legend()
 
 
