@@ -11,7 +11,7 @@ import pytest
 from bs4 import BeautifulSoup
 from filelock import FileLock
 
-from dropout_uncertainty import book, sphinx_ext
+from dropout_uncertainty import book, plotting, sphinx_ext
 
 ROOT = Path(__file__).parents[1]
 HTML = ROOT / "_build" / "html"
@@ -186,6 +186,14 @@ def test_every_picture_exists_and_says_what_is_to_be_seen():
     for page, image in found:
         assert (page.parent / unquote(image["src"])).exists(), f"{page.name}: {image['src']} is missing"
         assert re.search(r"\w+ \w+", image.get("alt", "")), f"{page.name}: describe {image['src']}"
+
+
+def test_no_figure_is_wider_than_the_column_of_text():
+    images = [(page, image) for page in pages() for image in soup(page).select(".cell_output img")]
+    assert images
+    for page, image in images:
+        width = re.search(r"width: (\d+)px", image["style"])
+        assert int(width[1]) <= 96 * plotting.WIDTH + 1, f"{page.name}: {image['alt']}"
 
 
 def test_nothing_is_loaded_from_another_host():

@@ -10,6 +10,7 @@ from dropout_uncertainty.interactive import Curves
 pytestmark = pytest.mark.slow
 
 PHONE, DESK = {"width": 400, "height": 800}, {"width": 1000, "height": 800}
+LAPTOP = {"width": 1300, "height": 800}
 PAPER = {"width": 718, "height": 1047}  # A4 within margins of 1 cm
 GUIDELINES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
 COLOUR_RULES = ["color-contrast", "link-in-text-block"]  # nothing else changes with the colours
@@ -41,6 +42,7 @@ class Visit:
     size: int = 0
     maths: dict = field(default_factory=dict)
     overflow: list[str] = field(default_factory=list)
+    shrunk: list[str] = field(default_factory=list)
     cut: list[str] = field(default_factory=list)
     violations: list[str] = field(default_factory=list)
 
@@ -72,6 +74,8 @@ def visit(browser, site, name):
         page.emulate_media(color_scheme=scheme)
         page.wait_for_function("scheme => document.documentElement.dataset.theme === scheme", arg=scheme)
         seen.violations += violations(page, scheme, rules)
+    page.set_viewport_size(LAPTOP)
+    seen.shrunk = page.evaluate(SHRUNK)
     page.set_viewport_size(PAPER)
     page.emulate_media(media="print")
     seen.cut = page.evaluate(CUT)
@@ -106,6 +110,12 @@ OVERFLOW = """() => {
     .filter((e) => e.getBoundingClientRect().right > width + 1 && !held(e.parentElement));
   return [`${document.documentElement.scrollWidth} px wide`, ...out.map((e) => e.outerHTML.slice(0, 120))];
 }"""
+# Figures for which the column is too narrow: their letters would be smaller than those of the others.
+SHRUNK = """() => [...document.querySelectorAll('.cell_output :is(img, svg.picture)')].flatMap((e) => {
+  const drawn = e.style.width || e.style.maxWidth, shown = e.getBoundingClientRect().width;
+  const wanted = drawn.endsWith('pt') ? parseFloat(drawn) * 96 / 72 : parseFloat(drawn);
+  return shown >= wanted - 1 ? [] : [`drawn ${wanted} px wide, shown ${shown}: ${e.outerHTML.slice(0, 120)}`];
+})"""
 # What would have to be scrolled on paper, and parts of the screen that are of no use there. MathJax's copy of each
 # formula for screen readers takes no room.
 CUT = """() => {
@@ -154,6 +164,10 @@ def test_formulas_are_drawn(visits):
 
 def test_a_phone_does_not_scroll_sideways(visits):
     assert not collect(visits, "overflow")
+
+
+def test_letters_have_one_size_in_all_figures(visits):
+    assert not collect(visits, "shrunk")
 
 
 def test_paper_shows_all_of_a_page_and_nothing_else(visits):

@@ -104,15 +104,16 @@ class Curves:
 
 
 def _inline(svg: str, alt: str) -> str:
-    """Return an SVG file as an element of a page: it fills the width, and no id is given twice on a page."""
+    """Return an SVG file as an element of a page: as wide as drawn if there is room, and no id is given twice."""
     svg = svg[svg.index("<svg") :].strip()
     svg = re.sub(r'id="curve-(\d+)-\d+"', r'data-curve="\1"', svg)
     used = set(re.findall(r"#([\w-]+)", svg))
     svg = re.sub(r' id="([\w.-]+)"', lambda found: found[0] if found[1] in used else "", svg)
     svg = re.sub(r"(\d\.\d\d)\d+", r"\1", svg)
     return re.sub(
-        r'<svg [^>]*?(viewBox="[^"]*")[^>]*>',
-        rf'<svg class="picture" \1 role="img" aria-label="{escape(alt)}" xmlns:xlink="http://www.w3.org/1999/xlink">',
+        r'<svg [^>]*?width="([^"]*)"[^>]*?(viewBox="[^"]*")[^>]*>',
+        rf'<svg class="picture" style="max-width: \1" \2 role="img" aria-label="{escape(alt)}" '
+        'xmlns:xlink="http://www.w3.org/1999/xlink">',
         svg,
         count=1,
     )

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dropout_uncertainty.active_learning.analysis import Row
-from dropout_uncertainty.plotting import COLOURS, band
+from dropout_uncertainty.plotting import COLOURS, SMALL, band
 
 __all__ = ["class_shares", "digits", "figure_5_1", "figure_5_2", "learning_curves"]
 
@@ -37,7 +37,7 @@ def learning_curves(
     ticks = [tick for tick in (1, 2, 3, 5, 10, 20, 40, 60, 80) if ax.get_ylim()[0] <= tick <= ax.get_ylim()[1]]
     ax.set_yticks(ticks, [str(tick) for tick in ticks])
     ax.set_yticks([], minor=True)
-    ax.legend(fontsize=9)
+    ax.legend()
     return ax
 
 
@@ -46,6 +46,7 @@ def figure_5_1(axes: Sequence[Axes], rows: Mapping[str, Row], original: Mapping[
     for ax, (title, name) in zip(axes, (("BALD", "bald"), ("Variation Ratios", "variation-ratios")), strict=True):
         learning_curves(ax, rows, ["random", f"softmax/{name}", f"dropout/{name}"], original=original)
         ax.set_title(title)
+        ax.label_outer()
 
 
 def figure_5_2(ax: Axes, rows: Mapping[str, Row], original: Mapping[str, Row] | None = None) -> Axes:
@@ -64,7 +65,7 @@ def digits(
         ax.axis("off")
     for ax, image, title in zip(axes.flat, images, titles, strict=False):
         ax.imshow(image, cmap="gray_r", vmin=0, vmax=1)
-        ax.set_title(title, fontsize=8)
+        ax.set_title(title, fontsize=SMALL)
     return axes
 
 
@@ -87,5 +88,5 @@ def class_shares(
     ax.figure.colorbar(picture, ax=ax, label="share of acquired points [%]")
     for (i, j), share in np.ndenumerate(shares):
         light = share < shares.mean()
-        ax.text(j, i, f"{share:.0f}", ha="center", va="center", fontsize=8, color="white" if light else "black")
+        ax.text(j, i, f"{share:.0f}", ha="center", va="center", fontsize=SMALL, color="white" if light else "black")
     return shares

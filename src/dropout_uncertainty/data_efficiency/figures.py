@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from dropout_uncertainty.data_efficiency import analysis
 from dropout_uncertainty.data_efficiency.analysis import Learning
 from dropout_uncertainty.data_efficiency.cartpole import PAPER, CartPole, tip
-from dropout_uncertainty.plotting import COLOURS
+from dropout_uncertainty.plotting import COLOURS, SMALL
 from dropout_uncertainty.results import thesis_value
 
 __all__ = [
@@ -21,6 +21,8 @@ __all__ = [
     "predicted_and_realised", "predicted_trial", "snapshots", "solved_over_trials",
 ]  # fmt: skip
 
+#: Size of the symbols in a sketch [points]: that of the formulas in the text.
+SYMBOL = 12
 STATE, FORCE, DARK = "#DCE9F5", "#FBE6C8", "#333333"
 CART = (0.3, 0.12)  # width and height of the drawn cart [m]
 #: Vertical lines of Figure 5.7: id of the printed number, what it is, and the colour it has in the thesis.
@@ -42,12 +44,12 @@ def figure_5_5(ax: Axes) -> Axes:
         _node(ax, spot, names[i], STATE)
         _node(ax, action, names[i].replace("X", "U"), FORCE)
         _arrow(ax, spot, action)
-        ax.text(spot[0] + 0.22, -0.78, r"$\pi$", ha="right", va="center", fontsize=13)
+        ax.text(spot[0] + 0.22, -0.78, r"$\pi$", ha="right", va="center", fontsize=SYMBOL)
         following = spots[i + 1] if i < 2 else (2.4 * 3, 0.0)
         if i < 2:
             _arrow(ax, spot, following)
             _arrow(ax, action, following)
-            ax.text(spot[0] + 1.2, 0.12, r"$f$", ha="center", va="bottom", fontsize=13)
+            ax.text(spot[0] + 1.2, 0.12, r"$f$", ha="center", va="bottom", fontsize=SYMBOL)
         else:
             ax.plot([spot[0] + 0.45, spot[0] + 1.3], [0, 0], ":", color=DARK)
     ax.set(xlim=(-1.4, 6.2), ylim=(-1.75, 0.6), aspect="equal")
@@ -57,7 +59,7 @@ def figure_5_5(ax: Axes) -> Axes:
 
 def _node(ax: Axes, spot: tuple[float, float], name: str, colour: str) -> None:
     ax.add_patch(patches.Circle(spot, 0.38, facecolor=colour, edgecolor=DARK, linewidth=1.2, zorder=2))
-    ax.text(*spot, name, ha="center", va="center", fontsize=13, zorder=3)
+    ax.text(*spot, name, ha="center", va="center", fontsize=SYMBOL, zorder=3)
 
 
 def _arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
@@ -98,17 +100,17 @@ def figure_5_6(ax: Axes, plant: CartPole = PAPER, angle: float = 0.75, position:
     ends = {"theta1": 90, "theta2": 90 + np.degrees(angle)}
     ax.add_patch(patches.Arc((position, 0), 0.9 * length, 0.9 * length, color=DARK, **ends))
     middle = position - 0.53 * length * np.sin(angle / 2), 0.53 * length * np.cos(angle / 2)
-    ax.text(*middle, r"$\theta$", fontsize=14, ha="center", va="center")
-    ax.text(position + sideways / 2 - 0.05, up / 2 - 0.05, r"$l$", fontsize=14, ha="center")
+    ax.text(*middle, r"$\theta$", fontsize=SYMBOL, ha="center", va="center")
+    ax.text(position + sideways / 2 - 0.05, up / 2 - 0.05, r"$l$", fontsize=SYMBOL, ha="center")
     side = position + CART[0] / 2
     shape = {"arrowstyle": "-|>", "color": COLOURS["bald"], "linewidth": 2.5, "mutation_scale": 18}
     ax.annotate("", (side + 0.3, 0), (side, 0), arrowprops=shape)
-    ax.text(side + 0.34, 0, r"$u_t$", fontsize=14, va="center", color=COLOURS["bald"])
+    ax.text(side + 0.34, 0, r"$u_t$", fontsize=SYMBOL, va="center", color=COLOURS["bald"])
     below = -length - 0.08
     ax.plot([0, 0], [below, -CART[1] / 2], ":", color=DARK, linewidth=1)
     ax.plot([position, position], [below, -CART[1] / 2], ":", color=DARK, linewidth=1)
     ax.annotate("", (position, below), (0, below), arrowprops={"arrowstyle": "<->", "color": DARK, "shrinkA": 0})
-    ax.text(position / 2, below - 0.02, r"$x_c$", fontsize=14, ha="center", va="top")
+    ax.text(position / 2, below - 0.02, r"$x_c$", fontsize=SYMBOL, ha="center", va="top")
     ax.set(xlim=(-0.75, 1.15), ylim=(below - 0.14, length + 0.12), xlabel="metres", ylabel="metres", aspect="equal")
     ax.grid(visible=False)
     return ax
@@ -142,13 +144,13 @@ def matched_output(
     bottom = low - 0.02 * (high - low)
     function.fill_between(edges[:-1], bottom, bottom + height, step="post", color="#AAAAAA", label="input")
     function.set(xlabel="input", ylabel="output")
-    function.legend(fontsize=9, loc="upper left")
+    function.legend(loc="upper left")
     output.hist(outputs, 80, density=True, orientation="horizontal", color="#AAAAAA", label="true density")
     y = np.linspace(*function.get_ylim(), 300)
     normal = np.exp(-((y - matched[0]) ** 2) / (2 * matched[1] ** 2)) / (matched[1] * np.sqrt(2 * np.pi))
     output.plot(normal, y, color=COLOURS["bald"], label="matched Gaussian")
     output.set(xlabel="density")
-    output.legend(fontsize=9, loc="upper right")
+    output.legend(loc="upper right")
 
 
 def angles(ax: Axes, learning: Learning, trial: int, replica: int = 0) -> Axes:
@@ -170,7 +172,7 @@ def predicted_trial(axes: Sequence[Axes], learning: Learning, trials: Sequence[i
         _turns(ax, learning.arrays["states"][replica, trial, :, 3], margin=0.5 * np.pi)
     for ax in axes[1:]:
         ax.set_ylabel("")
-    axes[0].legend(fontsize=9)
+    axes[0].legend()
 
 
 def predicted_and_realised(ax: Axes, learning: Learning, trials: Sequence[int]) -> Axes:
@@ -183,7 +185,7 @@ def predicted_and_realised(ax: Axes, learning: Learning, trials: Sequence[int]) 
     low = min(learning.predicted_costs[:, list(trials)].min(), learning.trial_costs[:, list(trials)].min())
     limits = (0.9 * low, 1.02)
     ax.set(xlim=limits, ylim=limits, xlabel="predicted cost per step", ylabel="realised cost per step", aspect="equal")
-    ax.legend(fontsize=9, loc="lower right")
+    ax.legend(loc="lower right")
     return ax
 
 
@@ -208,13 +210,13 @@ def figure_5_7(ax: Axes, learnings: Sequence[Learning], *, printed: bool = True)
     for identifier, name, colour in PRINTED if printed else ():
         trials = thesis_value(identifier) or math.nan
         ax.axvline(trials, color=colour, linestyle="--", linewidth=1.1)
-        place: dict[str, Any] = {"rotation": 90, "va": "top", "ha": "right", "fontsize": 8, "color": colour}
+        place: dict[str, Any] = {"rotation": 90, "va": "top", "ha": "right", "fontsize": SMALL, "color": colour}
         ax.text(0.97 * trials, 0.98, f"{name}: {trials:g}", transform=ax.get_xaxis_transform(), **place)
     ax.set(xscale="log", ylim=(0, 1.02), xlabel="trial", ylabel="mean cost per step")
     ticks = [t for t in (1, 2, 5, 10, 20, 50, 100, 400, 1000, 2500) if t <= ax.get_xlim()[1]]
     ax.set_xticks(ticks, [str(t) for t in ticks])
     ax.set_xticks([], minor=True)
-    ax.legend(fontsize=9, loc="lower left")
+    ax.legend(loc="lower left")
     return ax
 
 
@@ -233,7 +235,7 @@ def solved_over_trials(ax: Axes, learnings: Sequence[Learning], *, ever: bool) -
     ax.set(xlabel="trial", ylim=(-0.02, 1.02), title=title)
     if ever:
         ax.set_ylabel("share of repetitions")
-        ax.legend(fontsize=9, loc="lower right")
+        ax.legend(loc="lower right")
     return ax
 
 
@@ -254,7 +256,7 @@ def figure_5_8(axes: Sequence[Axes], learning: Learning, trials: Sequence[int], 
         _turns(ax, true, margin=0.75 * np.pi)
         ax.set(xlabel="time step", title=f"({'abcdefgh'[list(trials).index(trial)]}) after trial {trial}")
     axes[0].set_ylabel(f"{learning.label}\nangle $\\theta$ [rad]")
-    axes[0].legend(fontsize=9, loc="lower left")
+    axes[0].legend(loc="lower left")
 
 
 def _turns(ax: Axes, true: np.ndarray, margin: float) -> None:
@@ -284,7 +286,7 @@ def gradient_shares(axes: Sequence[Axes], learning: Learning, trial: int) -> Non
         low, middle, high = np.quantile(values, (0.25, 0.5, 0.75), axis=0)
         ax.plot(t, middle, color=colour, label=label)
         ax.fill_between(t, low, high, color=colour, alpha=0.2, linewidth=0)
-        ax.legend(fontsize=9)
+        ax.legend()
     axes[0].axhline(learning.plant.cost_width / learning.plant.pole_length, color=DARK, linewidth=0.8, linestyle=":")
     axes[0].set(ylabel="std [rad]", yscale="log", title=f"trial {trial}")
     axes[1].set(xlabel="time [s]", ylabel="share of the gradient", ylim=(0, None))
@@ -298,7 +300,7 @@ def snapshots(ax: Axes, plant: CartPole, states: Float[np.ndarray, "times 4"], e
         state = np.asarray(states[i], float) + np.array([column * width, 0, 0, 0])
         cart_pole(ax, plant, state)
         ax.plot(column * width, plant.pole_length, "x", color="black", markersize=7, markeredgewidth=2)
-        ax.text(column * width, -1.75 * plant.pole_length, f"{i * plant.dt:.1f} s", ha="center", fontsize=8)
+        ax.text(column * width, -1.75 * plant.pole_length, f"{i * plant.dt:.1f} s", ha="center", fontsize=SMALL)
     ax.axhline(-CART[1] / 2, color="#999999", linewidth=1, zorder=1)
     ax.set(xlim=(-width, width * len(chosen)), ylim=(-2.0 * plant.pole_length, 1.4 * plant.pole_length))
     ax.axis("off")

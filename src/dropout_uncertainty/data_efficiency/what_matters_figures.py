@@ -13,7 +13,7 @@ from dropout_uncertainty.data_efficiency.particles import MATCHING
 from dropout_uncertainty.data_efficiency.scaling import AXES, METHODS
 from dropout_uncertainty.data_efficiency.what_matters import VARIANTS
 from dropout_uncertainty.data_efficiency.what_matters_analysis import NOMINAL, Comparison, Inside, Times
-from dropout_uncertainty.plotting import COLOURS, band
+from dropout_uncertainty.plotting import COLOURS, SMALL, band
 from dropout_uncertainty.stats import Interval, t_interval
 
 __all__ = ["clouds", "curves", "forest", "gradients", "objective", "optimisers", "optimism", "parting", "scaling"]
@@ -65,11 +65,11 @@ def forest(axes: Sequence[Axes], comparisons: Sequence[Comparison]) -> None:
                 ax.axhline(row + 0.5, color="#bbbbbb", linewidth=0.7)
     for claim in dict.fromkeys(claims):
         place = claims.index(claim), len(claims) - 1 - claims[::-1].index(claim)
-        style: dict[str, Any] = {"color": CLAIM_COLOURS[claim], "va": "center", "fontsize": 9, "rotation": 270}
+        style: dict[str, Any] = {"color": CLAIM_COLOURS[claim], "va": "center", "fontsize": SMALL, "rotation": 270}
         cost.text(1.02, sum(place) / 2, claim, transform=cost.get_yaxis_transform(), **style)
-    success.set_yticks(range(len(names)), names, fontsize=9)
-    success.set(ylim=(len(names) - 0.5, -0.5), xlabel="share solved, variant - ours")
-    cost.set(xlabel="mean cost per step, variant - ours")
+    success.set_yticks(range(len(names)), names)
+    success.set(ylim=(len(names) - 0.5, -0.5), xlabel="share solved,\nvariant - ours")
+    cost.set(xlabel="mean cost per step,\nvariant - ours")
 
 
 def _whisker(ax: Axes, row: int, interval: Interval, colour: str) -> None:
@@ -85,7 +85,7 @@ def parting(axes: Sequence[Axes], seen: Inside) -> None:
         words, colour, dash = CLOUD_STYLES[cloud]
         band(over_time, t, seen.parted(cloud).mean(1), colour=colour, label=words, linestyle=dash)
     over_time.set(xlabel="time [s]", ylabel="share of clouds that parted", ylim=(0, None))
-    over_time.legend(fontsize=9)
+    over_time.legend()
     depth = seen.arrays["cloud_valley"][:, :, 1].ravel()
     penalty = seen.arrays["penalty"].ravel()
     price.plot(depth, penalty, ".", color=DARK, markersize=3, alpha=0.25)
@@ -108,7 +108,7 @@ def gradients(axes: Sequence[Axes], seen: Inside) -> None:
             band(ax, horizon, curves, colour=colour, label=words, marker="o", markersize=4)
     axes[0].set(xlabel="length of the predicted trial [s]", ylabel="log10 of the gradient's variance")
     axes[1].set(xlabel="length of the predicted trial [s]", ylabel="log10 of its std by its mean's norm")
-    axes[0].legend(fontsize=9, title="moments matched", title_fontsize=9)
+    axes[0].legend(title="moments matched")
 
 
 def objective(ax: Axes, seen: Inside) -> Axes:
@@ -124,7 +124,9 @@ def objective(ax: Axes, seen: Inside) -> Axes:
     ax.set(xscale="log", xlabel="particles K", ylabel=f"objective - that with K = {seen.counts[-1]}")
     ax.set_xticks(seen.counts[:-1], [str(count) for count in seen.counts[:-1]])
     ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.legend(fontsize=9, title="moments matched", title_fontsize=9)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.5 * (high - low))  # room for the legend
+    ax.legend(title="moments matched", loc="upper right")
     return ax
 
 
@@ -136,10 +138,10 @@ def optimisers(ax: Axes, seen: Inside) -> Axes:
         for interval, colour, marker in ((said, COLOURS["bald"], "s"), (fresh, COLOURS["deep-pilco"], "o")):
             label = {"s": "by its own account", "o": "on fresh particles"}[marker] if row == 0 else None
             ax.plot(interval.value, row, marker, color=colour, markersize=7, label=label)
-        ax.text(fresh.value, row - 0.18, words, fontsize=9, ha="center")
-    ax.set(ylim=(len(OPTIMISER_WORDS) - 0.4, -0.6), yticks=[], xlabel="objective (mean cost per step)")
+        ax.text(fresh.value, row - 0.18, words, fontsize=SMALL, ha="center")
+    ax.set(ylim=(len(OPTIMISER_WORDS) - 0.2, -0.6), yticks=[], xlabel="objective (mean cost per step)")
     ax.margins(x=0.25)
-    ax.legend(fontsize=9, loc="lower right")
+    ax.legend(loc="lower right")
     return ax
 
 
@@ -165,7 +167,7 @@ def clouds(axes: Sequence[Axes], seen: Inside, pilco: Learning | None = None) ->
     hits.axhline(NOMINAL, color=DARK, linewidth=0.8, linestyle=":")
     width.set(xlabel="time [s]", ylabel="log10 of predicted std of the angle [rad]")
     hits.set(xlabel="time [s]", ylabel="true states within two std", ylim=(0, 1.02))
-    hits.legend(fontsize=8, loc="lower left")
+    hits.legend(loc="lower left")
 
 
 def optimism(ax: Axes, learnings: Mapping[str, Learning]) -> Axes:
@@ -176,7 +178,7 @@ def optimism(ax: Axes, learnings: Mapping[str, Learning]) -> Axes:
         band(ax, np.arange(1, learning.trials + 1), gap, colour=colour, label=words)
     ax.axhline(0, color=DARK, linewidth=0.8)
     ax.set(xlabel="trial", ylabel="realised - predicted cost per step")
-    ax.legend(fontsize=9)
+    ax.legend()
     return ax
 
 
@@ -191,8 +193,8 @@ def curves(axes: Sequence[Axes], groups: Mapping[str, Sequence[Comparison]]) -> 
         if comparisons:
             ours = comparisons[0].second
             ax.plot(np.arange(1, ours.trials + 1), ours.trial_costs[:, 1:].mean(0), color=DARK, label="ours")
-            ax.legend(fontsize=8)
-        ax.set_title(title, fontsize=10)
+            ax.legend()
+        ax.set_title(title)
         ax.set(xlabel="trial", ylim=(0, 1.05))
     axes[0].set_ylabel("mean cost per step")
 
@@ -210,9 +212,8 @@ def scaling(axes: Sequence[Axes], taken: Times) -> None:
             slopes = taken.local_exponents(method, axis).mean(0)
             for i, slope in enumerate(slopes):
                 middle = np.sqrt(sizes[i] * sizes[i + 1]), 1.12 * np.sqrt(mean[i] * mean[i + 1])
-                ax.text(*middle, f"{slope:.1f}", color=colour, fontsize=8, ha="right", va="bottom")
+                ax.text(*middle, f"{round(slope, 1) + 0.0:.1f}", color=colour, fontsize=SMALL, ha="right", va="bottom")
         ax.set(xscale="log", yscale="log", xlabel=AXIS_WORDS[axis])
+        ax.margins(x=0.15)  # room for the first number
     axes[0].set_ylabel("CPU seconds per trial")
-    axes[0].legend(fontsize=8, loc="upper left")
-    low, high = axes[0].get_ylim()
-    axes[0].set_ylim(low, 4 * high)  # room for the legend
+    axes[0].figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(METHODS))

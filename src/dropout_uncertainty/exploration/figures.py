@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dropout_uncertainty.exploration.analysis import BLOCK, BURN_IN, TARGET, Agents, Curves, batches
-from dropout_uncertainty.plotting import COLOURS, band
+from dropout_uncertainty.plotting import COLOURS, SMALL, band
 from dropout_uncertainty.results import thesis_value
 
 __all__ = ["figure_5_4", "habits", "held_out_errors", "learning_curves"]
@@ -35,7 +35,7 @@ def learning_curves(ax: Axes, agents: Mapping[str, Curves], *, original: Mapping
     ticks.set_xticks(shown, [f"{tick / 1e3:g}k" if tick < 1e6 else f"{tick / 1e6:g}M" for tick in shown])
     ticks.set_xticks([], minor=True)
     ticks.set_xlabel("ticks")
-    ax.legend(loc="lower right", fontsize=9)
+    ax.legend(loc="lower right")
     return ax
 
 
@@ -53,7 +53,7 @@ def figure_5_4(ax: Axes, agents: Mapping[str, Curves], original: Mapping[str, Cu
             ax.axvline(value, color=COLOURS[agent], linestyle=":", linewidth=1.2)
             ax.annotate(
                 f"thesis: {value:g}", (value, 0.02), xycoords=("data", "axes fraction"), rotation=90,
-                xytext=(3, 0), textcoords="offset points", color=COLOURS[agent], fontsize=9,
+                xytext=(3, 0), textcoords="offset points", color=COLOURS[agent], fontsize=SMALL,
             )  # fmt: skip
     return ax
 
@@ -63,7 +63,7 @@ HABITS = {
     "moves stopped by a wall": "blocked",
     "food eaten": "food",
     "poison eaten": "poison",
-    "moves that are not\nthe best known": "explored",
+    "moves that are not the best known": "explored",
 }
 
 
@@ -75,10 +75,10 @@ def habits(axes: Sequence[Axes], agents: Agents, *, points: int = 25) -> None:
             counts = np.stack([1000 * curves.share(name, *ticks) for ticks in itertools.pairwise(edges)], axis=1)
             middle = np.sqrt(edges[:-1] * edges[1:])
             band(ax, middle, counts, colour=COLOURS[curves.agent], label=curves.label)
-        ax.set(xscale="log", xlabel="ticks", title=title)
+        ax.set(xscale="log", xlabel="ticks", ylabel="per 1000 ticks", title=title)
         ax.set_ylim(bottom=0)
-    axes[0].set_ylabel("per 1000 ticks")
-    axes[0].legend(fontsize=9)
+        ax.label_outer()
+    axes[0].legend()
 
 
 def held_out_errors(axes: Sequence[Axes], networks: Mapping[str, Curves]) -> None:
@@ -91,4 +91,4 @@ def held_out_errors(axes: Sequence[Axes], networks: Mapping[str, Curves]) -> Non
             band(ax, x, values, colour=style, label=label)
         ax.set(xlabel="ticks", title=title)
     axes[0].set_ylabel("mean squared TD error")
-    axes[0].legend(fontsize=9)
+    axes[0].legend()
