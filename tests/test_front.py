@@ -116,7 +116,7 @@ def interval(text):
 
 def test_the_first_page_uses_every_fact_and_no_other(facts):
     page = (ROOT / "book" / "index.md").read_text(encoding="utf-8")
-    assert sorted(re.findall(r"{glue:text}`scoreboard\.ipynb::(\w+)`", page)) == sorted(facts)
+    assert sorted(re.findall(r"{glue:text}`scoreboard\.ipynb::(\w+):s`", page)) == sorted(facts)
 
 
 def test_no_fact_is_without_records(facts, tmp_path):
