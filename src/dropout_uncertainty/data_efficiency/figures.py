@@ -291,7 +291,8 @@ def gradient_shares(axes: Sequence[Axes], learning: Learning, trial: int) -> Non
     axes[0].axhline(learning.plant.cost_width / learning.plant.pole_length, color=DARK, linewidth=0.8, linestyle=":")
     axes[0].set(yscale="log", title=f"trial {trial}")
     axes[1].set(xlabel="time [s]", ylim=(0, None))
-    if axes[0].get_subplotspec().is_first_col():
+    place = axes[0].get_subplotspec()
+    if place and place.is_first_col():
         axes[0].set_ylabel("std of the angle [rad]")
         axes[1].set_ylabel("share of the gradient")
         legend_above(*axes)

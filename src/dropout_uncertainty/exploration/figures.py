@@ -77,7 +77,10 @@ def habits(axes: Sequence[Axes], agents: Agents, *, points: int = 25) -> None:
             band(ax, middle, counts, colour=COLOURS[curves.agent], label=curves.label)
         place = ax.get_subplotspec()
         ax.set(xscale="log", title=title)
-        ax.set(xlabel="ticks" if place.is_last_row() else "", ylabel="per 1000 ticks" if place.is_first_col() else "")
+        if place and place.is_last_row():
+            ax.set_xlabel("ticks")
+        if place and place.is_first_col():
+            ax.set_ylabel("per 1000 ticks")
         ax.set_ylim(bottom=0)
     axes[0].legend()
 
