@@ -87,3 +87,8 @@ def test_record_without_repository_says_so(two_records):
     header["provenance"]["commit"] = None
     nowhere = dataclasses.replace(two_records[0], header=header, path=Path("x.npz"))
     assert "commit unknown" in provenance([nowhere]).markdown
+
+
+def test_settings_within_a_cell_are_words():
+    settings = [{"policy": "thompson", "drop": [0.0, 0.2]}, {"policy": "greedy", "drop": []}]
+    assert "policy thompson, drop [0.0, 0.2]; policy greedy, drop []" in Table([["agents", settings]], ["", ""]).markdown

@@ -1,7 +1,7 @@
 """Tables and provenance lines that read well both in JupyterLab (HTML) and in the book (MyST Markdown)."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -26,7 +26,8 @@ class Table(Rendered):
     """A table of strings and numbers.
 
     Args:
-        rows: one sequence of cells per row; a cell is shown as ``str`` writes it, None as a dash. Markdown is allowed.
+        rows: one sequence of cells per row; a cell is shown as ``str`` writes it, None as a dash, settings by
+            name. Markdown is allowed.
         columns: the heads.
         caption: one or two sentences which can be read alone.
         name: the label of a table of the thesis, such as "tab-5-1": the book numbers it and can refer to it. A table
@@ -142,6 +143,10 @@ def _ranges(numbers: Sequence[int]) -> str:
 
 
 def _cell(value: object) -> str:
+    if isinstance(value, Mapping):
+        value = ", ".join(f"{name} {item}" for name, item in value.items())
+    elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+        value = "; ".join(map(_cell, value))
     text = "–" if value is None else str(value)
     return text.replace("|", "\\|").replace("\n", " ")
 
