@@ -165,7 +165,8 @@ class Part:
         value, low, high, n = self.interval
         if n == 0:
             return f"{self.what}: no records yet"
-        limits = f" [{low:.3g}, {high:.3g}]" if n > 1 and not math.isnan(low) else ""
+        ends = ", ".join("not reached" if math.isinf(end) else f"{end:.3g}" for end in (low, high))
+        limits = f" [{ends}]" if n > 1 and not math.isnan(low) else ""
         return f"{self.what}: {value:.3g}{limits}{' ' if self.unit else ''}{self.unit}"
 
 

@@ -117,7 +117,7 @@ def al3(rows: UsedRows) -> list[Part]:
         for name in ("bald", "variation-ratios")
         for when, acquired in (("early", EARLY), ("end", END))
         for part in difference(
-            rows, f"dropout/{name}", f"softmax/{name}", acquired, f"{NAMES[name]}, {when}", "negative"
+            rows, f"dropout/{name}", f"softmax/{name}", acquired, f"Dropout - Softmax {NAMES[name]}, {when}", "negative"
         )
     ]
 
@@ -162,9 +162,10 @@ def al6(rows: UsedRows) -> list[Part]:
     for name in NAMES:
         if rows.having(f"dropout/{name}", f"softmax/{name}"):
             interval = crossing_ratio(rows[f"dropout/{name}"], rows[f"softmax/{name}"])
-            parts.append(Part(NAMES[name], interval, "", direction(interval, expected="negative", null=1.0)))
+            verdict = direction(interval, expected="negative", null=1.0)
+            parts.append(Part(f"Dropout / Softmax {NAMES[name]}", interval, "", verdict))
         else:
-            parts.append(missing(NAMES[name]))
+            parts.append(missing(f"Dropout / Softmax {NAMES[name]}"))
     return parts
 
 
@@ -199,16 +200,16 @@ def al7(rows: UsedRows) -> list[Part]:
             tied: Verdict = "replicated" if share == 1.0 else "not replicated"
             parts.append(
                 Part(
-                    f"{NAMES[name]}, rounds that tie",
+                    f"Softmax {NAMES[name]}, rounds that tie",
                     Interval(100 * share, np.nan, np.nan, len(rows[row].seeds)),
                     "%",
                     tied,
                 )
             )
             interval = paired_error(rows[row], rows["random"], *ALL)
-            parts.append(Part(f"{NAMES[name]} - Random", interval, "points", same_value(interval, 0.0)))
+            parts.append(Part(f"Softmax {NAMES[name]} - Random", interval, "points", same_value(interval, 0.0)))
         parts += difference(
-            rows, "softmax/least-confidence", row, ALL, f"Least Confidence - {NAMES[name]}", "negative"
+            rows, "softmax/least-confidence", row, ALL, f"Least Confidence - Softmax {NAMES[name]}", "negative"
         )  # fmt: skip
     return parts
 
