@@ -167,6 +167,10 @@ def test_a_learner_without_doubt_is_about_as_quick_and_pays_more(facts):
     assert interval(facts["no_dropout_cost"])[0] > 0
 
 
+def test_doubtful_states_gain_weight(facts):
+    assert interval(facts["doubt"])[0] > 0
+
+
 # --- what the README promises in five lines each
 
 

@@ -30,7 +30,7 @@ from dropout_uncertainty.exploration import world as w
 from dropout_uncertainty.plotting import COLOURS
 from dropout_uncertainty.records import Record
 from dropout_uncertainty.results import Result, thesis_value
-from dropout_uncertainty.stats import Interval
+from dropout_uncertainty.stats import Interval, t_interval
 
 __all__ = ["FACTS", "HEADLINES", "PICTURES", "Headline", "facts", "numbers", "readme", "tally", "write"]
 
@@ -189,6 +189,12 @@ def _no_dropout(what: str, digits: int, folder: Path | None) -> str | None:
     return None if found is None else _words(getattr(found, what), digits)
 
 
+def _doubt(folder: Path | None) -> str | None:
+    """Return how a step's part in PILCO's gradient goes with the doubt about it, as claim DE11 measures it."""
+    learning = data_efficiency.load("pilco-paper", folder)
+    return None if learning is None else _words(t_interval(data_efficiency.excess_on_predictable(learning)[0]))
+
+
 def _words(interval: Interval, digits: int = 2) -> str:
     return what_matters.words(interval, digits).replace("-", "−")
 
@@ -209,6 +215,7 @@ FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "held_matched": lambda folder: _held("matched", folder),
     "no_dropout_trials": lambda folder: _no_dropout("trials_difference", 1, folder),
     "no_dropout_cost": lambda folder: _no_dropout("cost_difference", 2, folder),
+    "doubt": _doubt,
 }
 
 
