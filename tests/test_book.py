@@ -10,6 +10,7 @@ import nbformat
 import pytest
 from bs4 import BeautifulSoup
 from filelock import FileLock
+from pybtex.database import parse_file
 
 from dropout_uncertainty import book, plotting, sphinx_ext
 
@@ -138,6 +139,13 @@ def test_modules_of_a_package_are_listed_for_the_api_pages():
     text = sphinx_ext.module_sections("dropout_uncertainty")
     assert "## bayes\n\n```{eval-rst}\n.. automodule:: dropout_uncertainty.bayes\n   :members:\n```" in text
     assert "__main__" not in text
+
+
+def test_references_are_labelled_as_the_text_cites():
+    entries = sphinx_ext.Names().sort(parse_file(str(ROOT / "book" / "references.bib")).entries.values())
+    labels = list(sphinx_ext.NameLabels().format_labels(entries))
+    assert len(set(labels)) == len(entries)
+    assert {"Gal, 2016", "Bulò et al., 2016", "Press and Wolf, 2017", "Gal and Ghahramani, 2016b"} <= set(labels)
 
 
 # --- the HTML of the book itself

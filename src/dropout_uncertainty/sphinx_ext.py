@@ -3,11 +3,15 @@
 import pkgutil
 import re
 import shutil
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
+from pybtex.plugin import register_plugin
+from pybtex.style.formatting.alpha import Style as Alpha
+from pybtex.style.labels import BaseLabelStyle
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 
@@ -20,8 +24,34 @@ MATHJAX = "mathjax/tex-svg.js"
 SYSTEM_THEME = 'matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"'
 
 
+class NameLabels(BaseLabelStyle):
+    """Labels of the list of references as the text cites: names and year, with a letter where they are the same."""
+
+    def format_labels(self, sorted_entries: Sequence[Any]) -> Iterator[str]:
+        """Yield the label of each entry, e.g. "Houlsby et al., 2011"."""
+        names = [f"{_names(entry)}, {entry.fields['year']}" for entry in sorted_entries]
+        for place, name in enumerate(names):
+            yield name + ("abcdefgh"[names[:place].count(name)] if names.count(name) > 1 else "")
+
+
+def _names(entry: Any) -> str:
+    last = [
+        " ".join(map(str, person.rich_prelast_names + person.rich_last_names)) for person in entry.persons["author"]
+    ]
+    if len(last) > 2:
+        return f"{last[0]} et al."
+    return " and ".join(last)
+
+
+class Names(Alpha):
+    """The style of the list of references."""
+
+    default_label_style = NameLabels
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Connect the parts to Sphinx."""
+    register_plugin("pybtex.style.formatting", "names", Names)
     app.connect("config-inited", lambda _app, config: setattr(config, "mathjax_path", MATHJAX))
     app.connect("source-read", list_modules)
     app.connect("autodoc-process-docstring", keep_lines, priority=400)
@@ -51,9 +81,13 @@ def keep_lines(app: Sphinx, what: str, name: str, obj: object, options: object, 
 
 
 def restore_lines(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Give the description of an attribute its own words back; types come from the annotations."""
+    """Give the description of an attribute its own words back; types come from the annotations.
+
+    What Python itself says of the fields of a named tuple is left out: the class describes them.
+    """
     if what in ("attribute", "data", "property"):
-        lines[:] = app.env.temp_data["docstring"]
+        words = app.env.temp_data["docstring"]
+        lines[:] = [line for line in words if not line.startswith("Alias for field number")]
 
 
 def copy_mathjax(app: Sphinx, exception: Exception | None) -> None:
