@@ -137,11 +137,17 @@ def number_algorithms(app: Sphinx, env: BuildEnvironment) -> list[str]:
 def mend_roles(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: object) -> None:
     """Mend what readers stumble over: list roles without a list, an id used several times, tables wider than a phone.
 
-    The theme puts every table of a page into a part that scrolls, but not a table that comes as HTML.
+    The theme puts every table of a page into a part that scrolls, but not a table that comes as HTML, as those glued
+    from another page do; their links lead to notebooks, of which the book has pages.
     """
     body = context.get("body")
     if body:
         body = re.sub(r' role="(list|doc-biblioentry)"', "", body)
-        table, scrolling = r'(?<=<div class="output text_html">)(<table.*?</table>)', "pst-scrollable-table-container"
-        body = re.sub(table, rf'<div class="{scrolling}">\1</div>', body, flags=re.DOTALL)
+        table = r'(?<=<div class="output text_html">)(<table.*?</table>)'
+        body = re.sub(table, lambda match: _table_of_a_page(match[1]), body, flags=re.DOTALL)
         context["body"] = body.replace(' id="proof-content"', "")
+
+
+def _table_of_a_page(table: str) -> str:
+    table = re.sub(r'href="(\w+)\.ipynb', r'href="\1.html', table)
+    return f'<div class="pst-scrollable-table-container">{table}</div>'
