@@ -358,7 +358,7 @@ def fitting_table(learnings: Sequence[Learning]) -> tuple[list[str], list[list[o
 
 def solved_table(learnings: Sequence[Learning], trials: Sequence[int]) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells: trials to solve beside those of the thesis, and shares of repetitions solved by then."""
-    heads = ["", "trials to solve, thesis", "ours", *(f"solved by {t}" for t in trials), "kept", "repetitions"]
+    heads = ["", "trials to solve, thesis", "ours", *(f"solved by {t}" for t in trials), "kept"]
     cells: list[list[object]] = []
     for learning in learnings:
         printed = thesis_value(f"figure-5.7/{NAMES.get(learning.config, learning.config)}/trials-to-solve")
@@ -366,7 +366,7 @@ def solved_table(learnings: Sequence[Learning], trials: Sequence[int]) -> tuple[
         limits = f" [{_trial(low, learning)}, {_trial(high, learning)}]" if n > 1 else ""
         shares = [_share(learning.solved_by(t)) if t <= learning.trials else None for t in trials]
         ours = _trial(value, learning) + limits
-        cells.append([learning.label, printed and f"{printed:g}", ours, *shares, _share(learning.kept), n])
+        cells.append([f"{learning.label} ({n})", printed and f"{printed:g}", ours, *shares, _share(learning.kept)])
     return heads, cells
 
 

@@ -187,7 +187,7 @@ def curves(axes: Sequence[Axes], groups: Mapping[str, Sequence[Comparison]]) -> 
     for ax, (title, comparisons) in zip(axes, groups.items(), strict=True):
         for comparison, colour in zip(comparisons, ("#E69F00", "#009E73"), strict=False):
             learning = comparison.first
-            words = VARIANTS[comparison.name].words.split(": ")[-1].removeprefix("… ")
+            words = VARIANTS[comparison.name].words.split(": ")[-1].removeprefix("… ").split(" of ")[0]
             trials = np.arange(1, learning.trials + 1)
             band(ax, trials, learning.trial_costs[:, 1:], colour=colour, label=words)
         if comparisons:
