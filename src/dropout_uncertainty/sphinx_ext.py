@@ -143,7 +143,8 @@ def mend_roles(app: Sphinx, page: str, template: str, context: dict[str, Any], d
     body = context.get("body")
     if body:
         body = re.sub(r' role="(list|doc-biblioentry)"', "", body)
-        table = r'(<div class="output text_html">(?:<p>(?:(?!</p>).)*</p>\s*)?)(<table.*?</table>)'  # a caption may come first
+        # a caption may come first
+        table = r'(<div class="output text_html">(?:<p>(?:(?!</p>).)*</p>\s*)?)(<table.*?</table>)'
         body = re.sub(table, lambda match: match[1] + _table_of_a_page(match[2]), body, flags=re.DOTALL)
         context["body"] = body.replace(' id="proof-content"', "")
 
