@@ -196,3 +196,14 @@ def test_figure_5_4_leaves_the_burn_in_out(tmp_path):
     assert min(line.get_xdata()[0] for line in ax.lines if len(line.get_xdata()) > 2) == 1
     assert {text.get_text() for text in ax.texts} == {"thesis: 25", "thesis: 175"}
     plt.close(figure)
+
+
+def test_late_in_the_runs_epsilon_greedy_eats_twice_as_much_and_no_more_poison():
+    """The chapter says so, under "Where it breaks"."""
+    agents = analysis.load("as-demo")
+    food, poison = (
+        [agents[name].share(what, 500_000, 1_000_000).mean() for name in ("epsilon-greedy", "thompson")]
+        for what in ("food", "poison")
+    )
+    assert 1.7 < food[0] / food[1] < 2.5
+    assert poison[0] < 1.05 * poison[1]
