@@ -1,6 +1,7 @@
 """Tables and provenance lines that read well both in JupyterLab (HTML) and in the book (MyST Markdown)."""
 
 import json
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
@@ -143,6 +144,7 @@ def _ranges(numbers: Sequence[int]) -> str:
 
 def _cell(value: object) -> str:
     text = "–" if value is None else str(value)
+    text = re.sub(r"\[([^][ ]+), ([^][ ]+)\]", "[\\1,\u00a0\\2]", text)  # an interval stays on one line
     return text.replace("|", "\\|").replace("\n", " ")
 
 

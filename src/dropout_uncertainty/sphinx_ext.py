@@ -103,11 +103,12 @@ def number_algorithms(app: Sphinx, env: BuildEnvironment) -> list[str]:
 def mend_roles(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: object) -> None:
     """Mend what readers stumble over: list roles without a list, an id used several times, tables wider than a phone.
 
-    The theme puts every table of a page into a part that scrolls, but not a table that comes as HTML.
+    The theme puts every table of a page into a part that scrolls, but not those that come as HTML or from other pages.
     """
     body = context.get("body")
     if body:
         body = re.sub(r' role="(list|doc-biblioentry)"', "", body)
-        table, scrolling = r'(?<=<div class="output text_html">)(<table.*?</table>)', "pst-scrollable-table-container"
-        body = re.sub(table, rf'<div class="{scrolling}">\1</div>', body, flags=re.DOTALL)
+        scrolling = '<div class="pst-scrollable-table-container">'
+        table = rf'(?<!{scrolling})<table class="table".*?</table>'
+        body = re.sub(table, rf"{scrolling}\g<0></div>", body, flags=re.DOTALL)
         context["body"] = body.replace(' id="proof-content"', "")
