@@ -1,6 +1,7 @@
 """Tables and provenance lines that read well both in JupyterLab (HTML) and in the book (MyST Markdown)."""
 
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
@@ -148,6 +149,7 @@ def _cell(value: object) -> str:
     elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
         value = "; ".join(map(_cell, value))
     text = "–" if value is None else str(value)
+    text = re.sub(r"\[([^][ ]+), ([^][ ]+)\]", "[\\1,\u00a0\\2]", text)  # an interval stays on one line
     return text.replace("|", "\\|").replace("\n", " ")
 
 

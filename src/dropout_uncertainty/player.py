@@ -10,7 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-__all__ = ["Player", "Shape", "circle", "line", "polygon", "polyline", "text"]
+__all__ = ["Player", "Shape", "circle", "letters", "line", "polygon", "polyline", "text"]
+
+#: Width of a drawing on the page [pixels of a style sheet]: that of the widest figures.
+SHOWN = 686
 
 Number = int | float
 Value = str | Number
@@ -53,6 +56,11 @@ def polyline(points: Sequence[tuple[Number, Number]], **style: Value) -> Shape:
 
 def _points(points: Sequence[tuple[Number, Number]]) -> str:
     return " ".join(f"{_short(x)},{_short(y)}" for x, y in points)
+
+
+def letters(width: Number) -> float:
+    """Return the size of letters, in units of a drawing of this width, at which they are as large as in figures."""
+    return round(13 * width / SHOWN, 1)
 
 
 def text(x: Number, y: Number, content: str, **style: Value) -> Shape:
@@ -142,19 +150,22 @@ class Player:
 
 #: The theme puts HTML output on a light ground in dark mode; shapes in the colour of the text need none.
 STYLE = """
-.player { margin: 0; }
+.player { margin: 0; max-width: SHOWNpx; }
 .player svg { display: block; width: 100%; height: auto; }
 .player .controls { display: flex; flex-wrap: wrap; gap: 0.4em; align-items: center; margin-top: 0.4em; }
 .player .controls[hidden] { display: none; }
 .player .controls > * { font: inherit; }
-.player button { min-width: 4.6em; padding: 0.15em 0.6em; }
+.player :is(button, select) { padding: 0.15em 0.6em; border: 1px solid; border-radius: 0.25em; background: none;
+  color: inherit; }
+.player button { min-width: 4.6em; cursor: pointer; }
+.player option { color: black; background: white; }
 .player input { flex: 1 1 8em; min-width: 6em; }
 .player figcaption { margin-top: 0.2em; color: inherit; text-align: left; white-space: pre-line;
   font-variant-numeric: tabular-nums; }
 html[data-theme=dark] .bd-content div.cell_output .text_html:has(figure.player) {
   background: none; color: var(--pst-color-text-base);
 }
-"""
+""".replace("SHOWN", str(SHOWN))
 
 TEMPLATE = """<figure class="player">
 <style>{style}</style>

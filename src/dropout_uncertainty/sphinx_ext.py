@@ -21,6 +21,8 @@ __all__ = ["setup"]
 FIRST_ALGORITHM = 3
 
 MATHJAX = "mathjax/tex-svg.js"
+#: What the theme puts around a table that may be wider than the page.
+SCROLLING = '<div class="pst-scrollable-table-container">'
 SYSTEM_THEME = 'matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"'
 
 
@@ -143,12 +145,10 @@ def mend_roles(app: Sphinx, page: str, template: str, context: dict[str, Any], d
     body = context.get("body")
     if body:
         body = re.sub(r' role="(list|doc-biblioentry)"', "", body)
-        # a caption may come first
-        table = r'(<div class="output text_html">(?:<p>(?:(?!</p>).)*</p>\s*)?)(<table.*?</table>)'
-        body = re.sub(table, lambda match: match[1] + _table_of_a_page(match[2]), body, flags=re.DOTALL)
+        table = rf'(?<!{SCROLLING})<table class="table".*?</table>'
+        body = re.sub(table, lambda found: _table_of_a_page(found[0]), body, flags=re.DOTALL)
         context["body"] = body.replace(' id="proof-content"', "")
 
 
 def _table_of_a_page(table: str) -> str:
-    table = re.sub(r'href="(\w+)\.ipynb', r'href="\1.html', table)
-    return f'<div class="pst-scrollable-table-container">{table}</div>'
+    return SCROLLING + re.sub(r'href="(\w+)\.ipynb', r'href="\1.html', table) + "</div>"

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from dropout_uncertainty.data_efficiency.analysis import Learning
 from dropout_uncertainty.data_efficiency.cartpole import CartPole, tip
 from dropout_uncertainty.data_efficiency.figures import CART
-from dropout_uncertainty.player import Player, Shape, circle, line, polygon, polyline, text
+from dropout_uncertainty.player import SHOWN, Player, Shape, circle, letters, line, polygon, polyline, text
 from dropout_uncertainty.plotting import COLOURS
 
 __all__ = ["predictions", "swing_up"]
@@ -21,7 +21,7 @@ FURTHEST = 1.2
 SMOOTH = 2
 HEAD = 34
 #: Drawing of the predictions: size, space at the left and below, and the angles shown [rad].
-WIDE, HIGH, LEFT, BELOW = 640, 300, 60, 40
+WIDE, HIGH, LEFT, BELOW = SHOWN, 320, 60, 40
 LOWEST, HIGHEST = -1.5 * np.pi, 4.5 * np.pi
 
 
@@ -51,22 +51,22 @@ def swing_up(plant: CartPole, trials: Mapping[str, Float[np.ndarray, "times 4"]]
         ]
         for i in range(len(times))
     ]
+    size = (2 * half * len(trials), height + SCALE * (plant.pole_length + 0.15))
     background = [
         shape
         for middle, title in zip(middles, trials, strict=True)
-        for shape in _still(plant, title, middle, half, height)
+        for shape in _still(plant, title, middle, half, height, letters(size[0]))
     ]
     description = f"The cart-pole in {len(trials)} trials side by side: {', '.join(trials)}; a cross marks the goal"
     labels = [f"{plant.dt * t:.2f} s" for t in times]
-    size = (2 * half * len(trials), height + SCALE * (plant.pole_length + 0.15))
     return Player(frames, size, description, labels, background=background, rate=SMOOTH / plant.dt)
 
 
-def _still(plant: CartPole, title: str, middle: float, half: float, height: float) -> list[Shape]:
+def _still(plant: CartPole, title: str, middle: float, half: float, height: float, letter: float) -> list[Shape]:
     """Return title, track and goal of a panel."""
     track, goal = height + SCALE * CART[1] / 2, height - SCALE * plant.pole_length
     return [
-        text(middle - half + 10, 16, title, font_size=15),
+        text(middle - half + 10, letter, title, font_size=letter),
         line(middle - half + 5, track, middle + half - 5, track, stroke_opacity=0.5),
         line(middle - 6, goal - 6, middle + 6, goal + 6, stroke_width=4),
         line(middle + 6, goal - 6, middle - 6, goal + 6, stroke_width=4),
@@ -133,11 +133,11 @@ def _axes(x: np.ndarray) -> list[Shape]:
     turns = np.arange(-1, 5)
     for half_turns, y in zip(turns.tolist(), _height(turns * np.pi).tolist(), strict=True):
         name = {0: "0", 1: "π", -1: "−π"}.get(half_turns, f"{half_turns}π")
-        shapes.append(text(x[0] - 10, y + 5, name, text_anchor="end", font_size=14))
+        shapes.append(text(x[0] - 10, y + 5, name, text_anchor="end", font_size=letters(WIDE)))
         if half_turns % 2 == 0:
             shapes.append(line(x[0], y, x[-1], y, stroke_dasharray="2 5"))
     for step in range(0, len(x), 5):
-        shapes.append(text(x[step], HIGH - BELOW + 17, str(step), text_anchor="middle", font_size=14))
-    shapes.append(text(x[len(x) // 2], HIGH - 5, "time step", text_anchor="middle", font_size=14))
-    shapes.append(text(0, 14, "angle", font_size=14))
+        shapes.append(text(x[step], HIGH - BELOW + 17, str(step), text_anchor="middle", font_size=letters(WIDE)))
+    shapes.append(text(x[len(x) // 2], HIGH - 5, "time step", text_anchor="middle", font_size=letters(WIDE)))
+    shapes.append(text(0, 14, "angle", font_size=letters(WIDE)))
     return shapes

@@ -17,7 +17,7 @@ from dropout_uncertainty.exploration.drawing import KIND_COLOURS, Scene, rollout
 from dropout_uncertainty.exploration.experiment import CONFIGS, EXPERIMENT, make_policy
 from dropout_uncertainty.exploration.policies import Chance
 from dropout_uncertainty.exploration.q_network import MaskStream, QNetwork
-from dropout_uncertainty.player import Player, Shape, circle, line, polygon, text
+from dropout_uncertainty.player import Player, Shape, circle, letters, line, polygon, text
 from dropout_uncertainty.plotting import COLOURS
 from dropout_uncertainty.records import Record, RecordError, config_hash
 
@@ -146,7 +146,10 @@ def animation(runs: Mapping[str, Sequence[Moment]], *, rate: float = 15.0) -> Pl
     if len({len(moments) for moments in runs.values()}) != 1:
         raise ValueError(f"expected runs of one length, got {[len(moments) for moments in runs.values()]} moments")
     offsets = [GAP + number * (w.WIDTH + GAP) for number in range(len(runs))]
-    background = [shape for (name, x) in zip(runs, offsets, strict=True) for shape in [_title(name, x), *_walls(x)]]
+    size = offsets[-1] + w.WIDTH + GAP, HEAD + w.HEIGHT
+    background = [
+        shape for (name, x) in zip(runs, offsets, strict=True) for shape in [_title(name, x, size[0]), *_walls(x)]
+    ]
     frames, labels = [], []
     for moments in zip(*runs.values(), strict=True):
         pairs = list(zip(runs, moments, strict=True))
@@ -162,12 +165,11 @@ def animation(runs: Mapping[str, Sequence[Moment]], *, rate: float = 15.0) -> Pl
         f"Worlds of {' and '.join(LABELS[name] for name in runs)} side by side: walls, food as filled red discs, "
         "poison as green rings, and the agent with its nine eyes"
     )
-    size = offsets[-1] + w.WIDTH + GAP, HEAD + w.HEIGHT
     return Player(frames, size, description, labels, background=background, rate=rate)
 
 
-def _title(name: str, left: float) -> Shape:
-    return text(left + 10, HEAD - 18, LABELS[name], font_size=30)
+def _title(name: str, left: float, width: float) -> Shape:
+    return text(left + 10, HEAD - 18, LABELS[name], font_size=letters(width))
 
 
 def _walls(left: float) -> list[Shape]:
