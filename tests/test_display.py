@@ -92,4 +92,4 @@ def test_record_without_repository_says_so(two_records):
 def test_settings_within_a_cell_are_words():
     settings = [{"policy": "thompson", "drop": [0.0, 0.2]}, {"policy": "greedy", "drop": []}]
     table = Table([["agents", settings]], ["field", "value"])
-    assert "policy thompson, drop [0.0, 0.2]; policy greedy, drop []" in table.markdown
+    assert "policy thompson, drop [0.0,\u00a00.2]; policy greedy, drop []" in table.markdown
