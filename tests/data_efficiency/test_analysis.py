@@ -14,7 +14,7 @@ from dropout_uncertainty.data_efficiency import analysis, figures
 from dropout_uncertainty.data_efficiency.animation import predictions, swing_up
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER
 from dropout_uncertainty.data_efficiency.claims import CLAIMS
-from dropout_uncertainty.data_efficiency.experiment import CONFIGS, PILCO_PAPER
+from dropout_uncertainty.data_efficiency.experiment import CONFIGS
 
 CLAIM = {claim.id: claim for claim in CLAIMS}
 TRIALS, STEPS = 10, PAPER.steps
@@ -41,15 +41,15 @@ def learning(first, **options):
     return analysis.from_arrays("pilco-paper", PAPER, arrays(first, **options), range(len(first)))
 
 
-def write(folder, first, **options):
-    config = records.config_dict(PILCO_PAPER)
+def write(folder, first, name="pilco-paper", **options):
+    config = records.config_dict(CONFIGS[name])
     header = {
-        "experiment": "data_efficiency", "name": "pilco-paper", "seeds": list(range(len(first))), "config": config,
+        "experiment": "data_efficiency", "name": name, "seeds": list(range(len(first))), "config": config,
         "config_hash": records.config_hash(config),
         "provenance": {f"{part}_cpu_s": [6.0] * (TRIALS + 1) for part in ("model", "policy", "trial")},
     }  # fmt: skip
     arrays32 = {name: value.astype(np.float32) for name, value in arrays(first, **options).items()}
-    records.write(folder / "data_efficiency" / "pilco-paper" / "000-005.npz", arrays32, header)
+    records.write(folder / "data_efficiency" / name / "000-005.npz", arrays32, header)
     return folder
 
 
@@ -92,6 +92,16 @@ def test_development_seeds_are_left_out(tmp_path):
     write(tmp_path, [3, 4])
     assert analysis.load("pilco-paper", tmp_path).seeds == (0, 1)
     assert analysis.load("pilco-matlab", tmp_path) is None
+
+
+def test_longer_runs_stand_for_shorter_ones_only_if_they_hold_all_repetitions(tmp_path):
+    write(tmp_path, [3, 4])
+    write(tmp_path, [5], name="pilco-paper-40")
+    assert analysis.load("pilco-paper", tmp_path).first_solved.tolist() == [3, 4]
+    assert analysis.load("pilco-paper-40", tmp_path).first_solved.tolist() == [5]
+    write(tmp_path, [6, 7], name="pilco-paper-15")
+    found = analysis.load("pilco-paper", tmp_path)
+    assert (found.config, found.first_solved.tolist()) == ("pilco-paper", [6, 7])
 
 
 @pytest.mark.parametrize(
@@ -141,7 +151,9 @@ def write_deep(folder, config="deep-pilco-ours", **options):
     header = {
         "experiment": "data_efficiency", "name": config, "seeds": list(range(len(found["costs"]))),
         "config": settings, "config_hash": records.config_hash(settings),
-        "provenance": {"cpu_s": 7200.0, "processor": "a processor"},
+        "provenance": {
+            "model_cpu_s": [3000.0], "policy_cpu_s": [4000.0], "trial_cpu_s": [200.0], "processor": "a processor",
+        },
     }  # fmt: skip
     records.write(folder / "data_efficiency" / config / "000-007.npz", found, header)
     return folder

@@ -16,7 +16,7 @@ from torch import Tensor
 from dropout_uncertainty import records
 from dropout_uncertainty.data_efficiency import cost
 from dropout_uncertainty.data_efficiency.cartpole import CartPole
-from dropout_uncertainty.data_efficiency.experiment import EXPERIMENT
+from dropout_uncertainty.data_efficiency.experiment import EXPERIMENT, LONGER
 from dropout_uncertainty.records import Record
 from dropout_uncertainty.results import Result, measured, thesis_value
 from dropout_uncertainty.stats import CONFIDENCE, Interval, bootstrap_interval, t_interval
@@ -34,6 +34,7 @@ LABELS: dict[str, str] = {
     "deep-pilco-ours": "Deep PILCO",
     "deep-pilco-as-written": "Deep PILCO, as written",
     "pilco-matlab": "PILCO, cart-pole of its own code",
+    "pilco-paper-40": "PILCO, one repetition of 40 trials",
 }
 #: Configs by the names that results go by (figure-5.7/<name>/...); the plain ones are judged.
 NAMES: dict[str, str] = {
@@ -46,6 +47,8 @@ NAMES: dict[str, str] = {
 TRIALS = (1, 5, 7, 10, 15, 20, 25, 26, 40)
 #: A repetition keeps its solution if at least this share of the trials after the first solved one are solved.
 KEPT = 0.8
+#: What computing time is shown of, as the records call it and in words.
+TIMED = {"model": "model", "policy": "search for the controller", "trial": "trial of the plant"}
 #: Panels of Figure 5.8: trials of data that the model had seen.
 PANELS = (1, 10, 20, 26)
 #: Trials over which claim DE11 is judged: those before most repetitions are solved.
@@ -158,11 +161,19 @@ def share_interval(flags: Sequence[bool] | np.ndarray) -> Interval:
 def load(config: str, folder: Path | None = None) -> Learning | None:
     """Return the published repetitions (seeds below 100) of a config; None if there are none yet.
 
+    Where longer runs go on from all of its repetitions (``experiment.LONGER``), these are returned: they begin with the
+    same trials.
+
     Raises:
         RecordError: if a record cannot be trusted.
     """
-    found = [r for r in records.find(EXPERIMENT, name=config, folder=folder) if max(r.seeds) < 100]
-    return from_records(config, found) if found else None
+    best = None
+    for name in (config, *(longer for longer in LONGER if longer.startswith(f"{config}-"))):
+        found = [r for r in records.find(EXPERIMENT, name=name, folder=folder) if max(r.seeds) < 100]
+        seeds = {seed for record in found for seed in record.seeds}
+        if found and (best is None or seeds >= set(best.seeds)):
+            best = from_records(config, found)
+    return best
 
 
 def from_records(config: str, found: Sequence[Record]) -> Learning:
@@ -387,11 +398,10 @@ def _share(interval: Interval) -> str | None:
 def time_table(learning: Learning, trials: Sequence[int]) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells: CPU seconds of a trial and repetition by part, mean over the units of the records."""
     origins = [(record.header["provenance"], len(record.seeds)) for record in learning.records]
-    parts = {"model": "model", "policy": "search for the controller", "trial": "trial of the plant"}
-    heads = ["trial", "transitions", *parts.values()]
+    heads = ["trial", "transitions", *TIMED.values()]
     cells: list[list[object]] = []
     for trial in (t for t in trials if t <= learning.trials):
-        seconds = [sum(o[f"{part}_cpu_s"][trial] for o, _ in origins) for part in parts]
+        seconds = [sum(o[f"{part}_cpu_s"][trial] for o, _ in origins) for part in TIMED]
         runs = sum(n for _, n in origins)
         cells.append([trial, trial * learning.plant.steps, *(f"{s / runs:.2f}" for s in seconds)])
     return heads, cells
@@ -402,12 +412,15 @@ def run_time_table(learnings: Sequence[Learning]) -> tuple[list[str], list[list[
 
     Repetitions of a unit are computed together, so a repetition by itself would take longer than its share.
     """
-    heads = ["", "thesis, 40 trials [h]", "trials", "ours [CPU h]", "at once", "on"]
+    heads = ["", "thesis, 40 trials [h]", "trials", "ours [CPU h]", "side by side", "on"]
     cells: list[list[object]] = []
     for learning in learnings:
         origins = [record.header["provenance"] for record in learning.records]
-        hours = sum(origin["cpu_s"] for origin in origins) / 3600 / len(learning.seeds)
-        printed = thesis_value(f"figure-5.7/{NAMES[learning.config].split('/')[0]}/hours-40-trials")
+        # by parts, since a run that goes on from a shorter one has only these of its first trials
+        seconds = sum(sum(origin[f"{part}_cpu_s"]) for origin in origins for part in TIMED)
+        hours = seconds / 3600 / len(learning.seeds)
+        method = NAMES.get(learning.config, "pilco").split("/")[0]
+        printed = thesis_value(f"figure-5.7/{method}/hours-40-trials")
         together = sorted({len(record.seeds) for record in learning.records})
         on = ", ".join(dict.fromkeys(origin["processor"] for origin in origins))
         row = [learning.trials, f"{hours:.3f}", "-".join(map(str, together)), f"one core, {on}"]

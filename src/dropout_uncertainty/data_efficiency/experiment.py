@@ -20,7 +20,10 @@ from dropout_uncertainty.data_efficiency.squared_exponential import SquaredExpon
 from dropout_uncertainty.records import Record
 from dropout_uncertainty.runs import Unit
 
-__all__ = ["CONFIGS", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer", "units"]
+__all__ = [
+    "CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer",
+    "units",
+]  # fmt: skip
 
 EXPERIMENT = "data_efficiency"
 #: Repetitions per unit: what does not depend on the data (most of the time in the first trials) they share.
@@ -61,7 +64,7 @@ PILCO_MATLAB = PilcoConfig(plant=MATLAB)
 PILCO_PAPER = replace(PILCO_MATLAB, plant=PAPER)
 #: Longer runs of the same learner, which go on from the records of shorter ones: more of the curve of figure 5.7, and
 #: (one repetition) the 40 trials whose hours the thesis gives.
-LONGER = {f"pilco-paper-{trials}": replace(PILCO_PAPER, trials=trials) for trials in (15, 40)}
+LONGER: dict[str, PilcoConfig] = {f"pilco-paper-{trials}": replace(PILCO_PAPER, trials=trials) for trials in (15, 40)}
 CONFIGS: dict[str, PilcoConfig | DeepPilcoConfig] = {
     "pilco-paper": PILCO_PAPER,
     "pilco-matlab": PILCO_MATLAB,
