@@ -84,15 +84,21 @@ def _where(claim: Claim) -> str:
 
 
 def costs(found: Sequence[Record]) -> Cells:
-    """Return what records took: one row per named config and kind of device, and one for all of an experiment."""
-    heads = ["experiment", "config", "repetitions", "core-minutes each", "core-hours", "GPU-minutes each", "on"]
+    """Return what records took: one row per family of configs and kind of device, and one for all of an experiment."""
+    heads = ["experiment", "configs", "repetitions", "core-minutes each", "core-hours", "GPU-minutes each", "on"]
     rows = []
     for experiment, same in groupby(found, lambda record: record.header["experiment"]):
-        records = sorted(same, key=lambda record: (record.header["name"], record.header["device"]))
-        for (name, device), group in groupby(records, lambda r: (r.header["name"], r.header["device"])):
-            rows.append([experiment, name, *_cost(list(group), device)])
+        records = sorted(same, key=_kind)
+        for (family, device), group in groupby(records, _kind):
+            rows.append([experiment, family, *_cost(list(group), device)])
         rows.append([experiment, "**all**", *_cost(records, None)])
     return heads, rows
+
+
+def _kind(record: Record) -> tuple[str, str]:
+    """Return config and device of a record; of configs such as "ours/random" the family, "ours/…"."""
+    family, *member = record.header["name"].split("/", 1)
+    return family + "/…" * bool(member), record.header["device"]
 
 
 def _cost(found: Sequence[Record], device: str | None) -> list[Any]:
