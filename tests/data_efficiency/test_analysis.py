@@ -88,6 +88,14 @@ def test_results_carry_the_ids_that_other_programs_rely_on(tmp_path):
     assert analysis.results(tmp_path / "empty") == []
 
 
+def test_pilcos_own_code_solved_the_recorded_run_at_trial_3():
+    found = analysis.original()
+    assert (found.costs.shape, found.first_solved.tolist()) == ((1, 6, 40), [3])
+    np.testing.assert_allclose(found.trial_costs[0, :2], [0.999767, 0.874103], atol=1e-6)  # the file's own means
+    _, cells = analysis.solved_table([found], [3, 7])
+    assert cells == [["PILCO's own code (1)", None, "3", "100% [21%, 100%]", None, "100% [21%, 100%]"]]
+
+
 def test_development_seeds_are_left_out(tmp_path):
     write(tmp_path, [3, 4])
     assert analysis.load("pilco-paper", tmp_path).seeds == (0, 1)

@@ -3,6 +3,7 @@
 PILCO's and Deep PILCO's records keep costs and predictions under the same names, so that one class reads both.
 """
 
+import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from dropout_uncertainty import records
 from dropout_uncertainty.data_efficiency import cost
-from dropout_uncertainty.data_efficiency.cartpole import CartPole
+from dropout_uncertainty.data_efficiency.cartpole import MATLAB, CartPole
 from dropout_uncertainty.data_efficiency.experiment import EXPERIMENT, LONGER
 from dropout_uncertainty.records import Record
 from dropout_uncertainty.results import Result, measured, thesis_value
@@ -23,7 +24,7 @@ from dropout_uncertainty.stats import CONFIDENCE, Interval, bootstrap_interval, 
 
 __all__ = [
     "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "check_quick_deep", "doubt_and_gradient",
-    "excess_on_predictable", "fitting_table", "from_arrays", "from_records", "load", "repeats", "results",
+    "excess_on_predictable", "fitting_table", "from_arrays", "from_records", "load", "original", "repeats", "results",
     "run_time_table", "search_table", "share_interval", "share_solved", "solved_table", "steps_held",
     "steps_predicted", "time_table",
 ]  # fmt: skip
@@ -35,6 +36,7 @@ LABELS: dict[str, str] = {
     "deep-pilco-as-written": "Deep PILCO, as written",
     "pilco-matlab": "PILCO, cart-pole of its own code",
     "pilco-paper-40": "PILCO, one repetition of 40 trials",
+    "original": "PILCO's own code",
 }
 #: Configs by the names that results go by (figure-5.7/<name>/...); the plain ones are judged.
 NAMES: dict[str, str] = {
@@ -174,6 +176,15 @@ def load(config: str, folder: Path | None = None) -> Learning | None:
         if found and (best is None or seeds >= set(best.seeds)):
             best = from_records(config, found)
     return best
+
+
+def original() -> Learning:
+    """Return a run of PILCO's own code on its own cart-pole, one repetition (``records/original``); costs only."""
+    path = Path(__file__).resolve().parents[3] / "records" / "original" / "pilco_octave_cartpole.csv"
+    with open(path, newline="", encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    costs = [[float(line[f"c{step:02d}"]) for step in range(1, MATLAB.steps + 1)] for line in lines]
+    return from_arrays("original", MATLAB, {"costs": np.array([costs])}, [int(lines[0]["seed"])])
 
 
 def from_records(config: str, found: Sequence[Record]) -> Learning:

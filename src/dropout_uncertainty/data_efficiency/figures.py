@@ -199,8 +199,9 @@ def figure_5_7(ax: Axes, learnings: Sequence[Learning], *, printed: bool = True)
         colour = _colour(learning)
         trial, curves = np.arange(1, learning.trials + 1), learning.trial_costs[:, 1:]
         mean = curves.mean(0)
-        dash = "--" if learning.config == "pilco-matlab" else "-"
-        ax.plot(trial, mean, dash, color=colour, label=f"{learning.label} ({len(curves)} repetitions)")
+        dash = {"pilco-matlab": "--", "original": ":"}.get(learning.config, "-")
+        count = f"{len(curves)} repetitions" if len(curves) > 1 else "one repetition"
+        ax.plot(trial, mean, dash, color=colour, label=f"{learning.label} ({count})")
         if len(curves) > 1:
             error = curves.std(0, ddof=1) / np.sqrt(len(curves))
             for times in (1, 2):
