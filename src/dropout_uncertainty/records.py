@@ -6,6 +6,7 @@ config, seeds, versions, times and a checksum of the arrays. Reading verifies al
 """
 
 import contextlib
+import csv
 import datetime
 import errno
 import hashlib
@@ -28,9 +29,11 @@ from dropout_uncertainty.errors import UserError
 
 __all__ = [
     "Record", "RecordError", "checksum", "config_dict", "config_diff", "config_hash", "find", "missing_seeds",
-    "provenance", "read", "root", "verify", "write",
+    "provenance", "read", "root", "table", "verify", "write",
 ]  # fmt: skip
 
+# of the repository, whatever folder the records of a run go to
+OWN = Path(__file__).resolve().parents[2] / "records"
 SCHEMA = 1
 HEADER = "header.json"
 #: What systems say on a disk without hard links.
@@ -66,8 +69,16 @@ class Record:
 
 def root() -> Path:
     """Return the folder of the records: ``DROPOUT_UNCERTAINTY_RECORDS`` if set, else ``records`` of the repository."""
-    default = Path(__file__).resolve().parents[2] / "records"
-    return Path(os.environ.get("DROPOUT_UNCERTAINTY_RECORDS") or default)
+    return Path(os.environ.get("DROPOUT_UNCERTAINTY_RECORDS") or OWN)
+
+
+def table(name: str) -> list[dict[str, str]]:
+    """Return the lines of a table of the repository's ``records``: what the thesis prints or an original program left.
+
+    ``name`` is without suffix, such as "thesis" or "original/pilco_octave_cartpole".
+    """
+    with open(OWN / f"{name}.csv", newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
 def config_dict(config: Any) -> dict[str, Any]:

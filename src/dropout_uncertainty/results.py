@@ -3,7 +3,6 @@
 The rules that turn numbers into verdicts stand here, once. They were fixed before the published seeds were run.
 """
 
-import csv
 import functools
 import math
 from collections.abc import Callable, Iterable
@@ -11,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from dropout_uncertainty import records
 from dropout_uncertainty.records import Record
 from dropout_uncertainty.stats import Interval
 
@@ -63,10 +63,7 @@ class Result:
 
 @functools.cache
 def _thesis() -> dict[str, float]:
-    # Beside the code's own repository, whatever folder the records of a run go to.
-    path = Path(__file__).resolve().parents[2] / "records" / "thesis.csv"
-    with open(path, newline="", encoding="utf-8") as file:
-        return {row["id"]: float(row["value"]) for row in csv.DictReader(file)}
+    return {row["id"]: float(row["value"]) for row in records.table("thesis")}
 
 
 def thesis_value(identifier: str) -> float | None:

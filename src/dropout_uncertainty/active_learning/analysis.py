@@ -1,6 +1,5 @@
 """From records to the numbers of Tables 5.1 and 5.2 and of claims AL1-AL9. Nothing is run and nothing is drawn here."""
 
-import csv
 import functools
 import math
 from collections.abc import Sequence
@@ -131,9 +130,7 @@ _ORIGINAL = {
 @functools.cache
 def original_rows() -> dict[str, Row]:
     """Return the curves that the original program recorded, three repetitions a row (``records/original``)."""
-    path = Path(__file__).resolve().parents[3] / "records" / "original" / "active_learning_recorded_curves.csv"
-    with open(path, newline="", encoding="utf-8") as file:
-        lines = [line for line in csv.DictReader(file) if line["repeat"] != "mean"]
+    lines = [line for line in records.table("original/active_learning_recorded_curves") if line["repeat"] != "mean"]
     rows = {}
     for key, name in _ORIGINAL.items():
         mine = [line for line in lines if (line["method"], line["approximation"]) == key]

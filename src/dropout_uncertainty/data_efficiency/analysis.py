@@ -3,7 +3,6 @@
 PILCO's and Deep PILCO's records keep costs and predictions under the same names, so that one class reads both.
 """
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -180,9 +179,7 @@ def load(config: str, folder: Path | None = None) -> Learning | None:
 
 def original() -> Learning:
     """Return a run of PILCO's own code on its own cart-pole, one repetition (``records/original``); costs only."""
-    path = Path(__file__).resolve().parents[3] / "records" / "original" / "pilco_octave_cartpole.csv"
-    with open(path, newline="", encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
+    lines = records.table("original/pilco_octave_cartpole")
     costs = [[float(line[f"c{step:02d}"]) for step in range(1, MATLAB.steps + 1)] for line in lines]
     return from_arrays("original", MATLAB, {"costs": np.array([costs])}, [int(lines[0]["seed"])])
 

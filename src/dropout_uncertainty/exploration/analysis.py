@@ -1,6 +1,5 @@
 """From records to the numbers of Figure 5.4 and of claims EX1-EX6. Nothing is run and nothing is drawn here."""
 
-import csv
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -142,9 +141,7 @@ def original(variant: str = "as-demo") -> Agents:
     text's dropout.
     """
     name = {"as-demo": "rl2d_original_js_curves", "as-written": "rl2d_original_js_curves_dropout01_all"}[variant]
-    path = Path(__file__).resolve().parents[3] / "records" / "original" / f"{name}.csv"
-    with open(path, newline="", encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
+    lines = records.table(f"original/{name}")
     length = max(int(line["batch"]) for line in lines)
     agents = {}
     for agent, theirs in (("thompson", "thompson"), ("epsilon-greedy", "greedy")):
