@@ -171,17 +171,14 @@ def _solved(config: str, trial: int, folder: Path | None) -> str | None:
     learning = data_efficiency.load(config, folder)
     if learning is None or learning.trials < trial:
         return None
-    return _count(learning.solved_by(trial))
-
-
-def _kept(config: str, folder: Path | None) -> str | None:
-    """Return how many of the repetitions that were solved stayed so, as section 5.4 counts them."""
-    learning = data_efficiency.load(config, folder)
-    return None if learning is None else _count(learning.kept)
-
-
-def _count(share: Interval) -> str:
+    share = learning.solved_by(trial)
     return f"{share.value * share.n:.0f} of {share.n}"
+
+
+def _solved_later(config: str, folder: Path | None) -> str | None:
+    """Return the share of solved trials among those after the first solved one of a repetition."""
+    learning = data_efficiency.load(config, folder)
+    return None if learning is None else f"{learning.solved[learning.later].mean():.0%}"
 
 
 def _held(kind: str, folder: Path | None) -> str | None:
@@ -220,8 +217,8 @@ FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "dropout_of_program": lambda folder: _thompson("as-demo", folder, LATE),
     "solved_as_written": lambda folder: _solved("deep-pilco-as-written", 25, folder),
     "solved_ours": lambda folder: _solved("deep-pilco-ours", 25, folder),
-    "kept_as_written": lambda folder: _kept("deep-pilco-as-written", folder),
-    "kept_ours": lambda folder: _kept("deep-pilco-ours", folder),
+    "later_as_written": lambda folder: _solved_later("deep-pilco-as-written", folder),
+    "later_ours": lambda folder: _solved_later("deep-pilco-ours", folder),
     "held_free": lambda folder: _held("free", folder),
     "held_matched": lambda folder: _held("matched", folder),
     "no_dropout_trials": lambda folder: _no_dropout("trials_difference", 1, folder),

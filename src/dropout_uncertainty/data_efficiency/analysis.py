@@ -115,13 +115,15 @@ class Learning:
         return np.where(controlled.any(1), controlled.argmax(1) + 1.0, np.inf)
 
     @property
+    def later(self) -> Bool[np.ndarray, "R trials"]:
+        """Which trials come after the first solved one of their repetition."""
+        return np.arange(self.trials + 1) > self.first_solved[:, None]
+
+    @property
     def kept_share(self) -> Float[np.ndarray, " R"]:
-        """Share of the trials after the first solved one that are solved; NaN where there is none."""
-        share = np.full(len(self.costs), np.nan)
-        for i, first in enumerate(self.first_solved):
-            if first < self.trials:
-                share[i] = self.solved[i, int(first) + 1 :].mean()
-        return share
+        """Share of the later trials that are solved; NaN where there is none."""
+        count = self.later.sum(1)
+        return np.where(count > 0, (self.solved & self.later).sum(1) / np.maximum(count, 1), np.nan)
 
     @property
     def typical(self) -> int:
