@@ -213,6 +213,7 @@ def _digest(unit: Unit) -> str:
 
 
 def _compute(unit: Unit, path: Path, partial: Path, progress: bool) -> Record:
+    torch.backends.cudnn.deterministic = True  # the same bits each time, also on a GPU
     process = unit.start(unit.config, unit.seeds, device=unit.device, precision=unit.precision)
     clock = {"wall_s": 0.0, "cpu_s": 0.0, "interruptions": 0}
     saved = _load(partial)

@@ -180,7 +180,7 @@ class CNNLearner:
         ).to(self.device)
         adam = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, fused=True)
         images, labels = self.images[labelled], self.labels[labelled]
-        replicas = torch.arange(len(self.seeds))[:, None]
+        replicas = torch.arange(len(self.seeds), device=self.device)[:, None]
         for step, order in enumerate(self._minibatches(size)):
             masks = self.network.draw(order.shape[1], "fit", self.round, step)
             log_probs = self.network(images[replicas, order], masks)

@@ -93,7 +93,7 @@ class BayesianCNN(nn.Module):
         for layer in (2 * block, 2 * block + 1):
             kernels = self.kernels[layer].flatten(0, 1).to(self.compute, memory_format=torch.channels_last)
             bias = self.kernel_biases[layer].flatten().to(self.compute)
-            maps = F.conv2d(maps, kernels, bias, groups=replicas)
+            maps = _convolve(maps, kernels, bias, replicas)
             # relu and max pooling commute, and after the pooling there is a quarter to do.
             maps = F.max_pool2d(maps, 2).relu_() if layer % 2 else maps.relu_()
         return maps
@@ -146,3 +146,14 @@ class BayesianCNN(nn.Module):
         elif mask is not None:
             inputs = inputs * mask
         return torch.baddbmm(self.biases[layer].to(dtype), inputs.to(dtype), weight.to(dtype))
+
+
+def _convolve(
+    maps: Float[Tensor, "B RC H W"], kernels: Float[Tensor, "RF C K K"], bias: Float[Tensor, " RF"], replicas: int
+) -> Float[Tensor, "B RF h w"]:
+    if not (maps.is_cuda and torch.is_grad_enabled()):
+        return F.conv2d(maps, kernels, bias, groups=replicas)
+    # On a GPU the backward pass of grouped convolutions keeps it busy for longer than one convolution per replica.
+    parts = zip(maps.chunk(replicas, 1), kernels.chunk(replicas), bias.chunk(replicas), strict=True)
+    last = torch.channels_last
+    return torch.cat([F.conv2d(m.contiguous(memory_format=last), k, b) for m, k, b in parts], 1)
