@@ -132,6 +132,12 @@ def test_the_two_rows_that_could_not_choose(facts):
     assert facts["tied"] == "100%"
 
 
+def test_the_entropy_of_one_pass_keeps_up_with_that_of_weight_draws(facts):
+    for name in ("entropy_middle", "entropy_end"):
+        low, high = interval(facts[name])
+        assert low < 0 < high
+
+
 def test_the_printed_errors_are_lowest_points(facts):
     assert facts["cells_minimum"] == "7 of 7"
     assert number(facts["cells_last"]) < 7

@@ -54,6 +54,16 @@ def test_elsewhere_rounding_is_forgiven_and_another_walk_is_not(record):
     assert "path is -30 off on average" in comparison.problems[0]
 
 
+@pytest.mark.skipif(runs.torch.cuda.is_available(), reason="there is a GPU")
+def test_without_a_gpu_the_record_of_one_is_recomputed_on_the_cpu(record):
+    unit = replace(toy.unit(), device="cuda")
+    made = {**record.header, **unit.identity}
+    made["provenance"] = {**record.header["provenance"], "processor": "a GPU"}
+    comparison = recompute(unit, replace(record, header=made), progress=False)
+    assert not comparison.problems
+    assert any("processor a GPU there" in phrase for phrase in comparison.elsewhere)
+
+
 def test_arrays_of_another_type_or_not_computed_any_more(record):
     single = changed(record, record.arrays["path"].astype(np.float32))
     assert "path was float32 (2, 40), is float64" in recompute(toy.unit(), single, progress=False).problems[0]

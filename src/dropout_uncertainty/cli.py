@@ -203,9 +203,9 @@ def recorded_unit(header: Mapping[str, Any]) -> "Unit":
     """Return the unit that a record with this header is the result of, as the code makes it now.
 
     Raises:
-        UserError: if the code has no such config any more, or another one of that name, or lacks the device.
+        UserError: if the code has no such config any more, or another one of that name.
     """
-    from dropout_uncertainty import records, runs
+    from dropout_uncertainty import records
 
     where = f"{header['experiment']}/{header['name']}"
     modules = config_modules(header["experiment"])
@@ -216,7 +216,7 @@ def recorded_unit(header: Mapping[str, Any]) -> "Unit":
     if records.config_hash(unit.config) != header["config_hash"]:
         changed = ", ".join(field for field, *_ in records.config_diff(header["config"], unit.config))
         raise UserError(f"{where} cannot be recomputed: its config has changed since ({changed})")
-    return replace(unit, device=runs.check_device(header["device"]))
+    return replace(unit, device=header["device"])
 
 
 def config_names(name: str, configs: dict[str, Any]) -> list[str]:

@@ -142,6 +142,13 @@ def _tied(folder: Path | None) -> str | None:
     return f"{min(active_learning.share_tied(rows[name]) for name in names):.0%}"
 
 
+def _entropy(acquired: tuple[int, int], folder: Path | None) -> str | None:
+    """Return the test error, in points, of acquiring by the entropy over weight draws minus by that of one pass."""
+    rows = active_learning.load_rows("ours", folder)
+    draws, single = rows.get("dropout/max-entropy"), rows.get("softmax/max-entropy")
+    return None if draws is None or single is None else _words(active_learning.paired_error(draws, single, *acquired))
+
+
 def _printed_cells(statistic: str) -> str:
     """Return how many of the printed errors are a statistic of the original program's curves, to two decimals."""
     rows = active_learning.original_rows()
@@ -208,6 +215,8 @@ def _words(interval: Interval, digits: int = 2) -> str:
 #: The numbers by name; each is computed from the records of a folder.
 FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "tied": _tied,
+    "entropy_middle": lambda folder: _entropy(active_learning.MIDDLE, folder),
+    "entropy_end": lambda folder: _entropy(active_learning.END, folder),
     "cells_minimum": lambda folder: _printed_cells("minimum"),
     "cells_last": lambda folder: _printed_cells("last"),
     "greedy_early": lambda folder: _greedy(EARLY, folder),

@@ -16,7 +16,7 @@ from tqdm.auto import tqdm
 
 from dropout_uncertainty import records
 from dropout_uncertainty.records import Record
-from dropout_uncertainty.runs import Process, Unit
+from dropout_uncertainty.runs import Process, Unit, check_device
 
 __all__ = ["Comparison", "choose", "recompute"]
 
@@ -80,15 +80,18 @@ def choose(found: Sequence[Record], count: int, seed: int) -> list[Record]:
 def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: bool = True) -> Comparison:
     """Do the first steps of a unit again, as many as fit into ``seconds`` of CPU time but at least two, and compare.
 
+    A record made on a GPU is recomputed on the CPU where there is no GPU.
+
     Raises:
         ValueError: if ``record`` is not that of the unit.
     """
     differing = [key for key, value in unit.identity.items() if record.header.get(key) != value]
     if differing:
         raise ValueError(f"{record.label} is not the record of {unit.label}: other {', '.join(differing)}")
-    origin, here = record.header["provenance"], records.provenance(unit.device)
+    device = check_device("auto") if unit.device == "cuda" else "cpu"
+    origin, here = record.header["provenance"], records.provenance(device)
     with _threads(origin.get("threads", 1)):
-        process = unit.start(unit.config, unit.seeds, device=unit.device, precision=unit.precision)
+        process = unit.start(unit.config, unit.seeds, device=device, precision=unit.precision)
         spent = _advance(process, seconds, unit.label, progress)
     with np.errstate(invalid="ignore"):  # counts of steps to come are integers that were NaN
         again = process.result()

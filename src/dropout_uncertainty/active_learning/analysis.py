@@ -23,8 +23,8 @@ from dropout_uncertainty.stats import (
 )
 
 __all__ = [
-    "LABELS", "Row", "check_quick", "from_records", "load_rows", "original_rows", "paired_error", "results",
-    "share_tied", "table_5_1", "table_5_2",
+    "END", "LABELS", "MIDDLE", "Row", "against_deterministic", "check_quick", "from_records", "load_rows",
+    "original_rows", "paired_error", "results", "share_tied", "table_5_1", "table_5_2",
 ]  # fmt: skip
 
 #: How each row is called in tables and figures.
@@ -41,6 +41,8 @@ LABELS: dict[str, str] = {
 }
 #: Test error in % that Table 5.2 counts acquisitions to.
 THRESHOLD = 5.0
+#: Ranges of acquired points: where the curves part, and the last three points.
+MIDDLE, END = (100, 400), (960, 980)
 
 
 @dataclass(frozen=True)
@@ -255,4 +257,23 @@ def table_5_2(rows: dict[str, Row], threshold: float = THRESHOLD) -> tuple[list[
         before = [_steps_cell(old.crossing(width=width) if old else None, 98) for width in (1, 5)]
         now = [_steps_cell(row.crossing(threshold, width=width), row.error.shape[1] - 1) for width in (1, 5)]
         cells.append([row.label, printed and f"{printed:.0f}", *before, *now, len(row.error)])
+    return heads, cells
+
+
+def against_deterministic(rows: dict[str, Row]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells of the test error of each Dropout row minus that of the scores of one pass, in points.
+
+    Those of one pass are Max Entropy and Least Confidence; the ranges are MIDDLE and END. A range that the curves do
+    not reach has no cell.
+    """
+    fair = [name for name in ("softmax/max-entropy", "softmax/least-confidence") if name in rows]
+    ranges = [
+        (low, high) for low, high in (MIDDLE, END) if all(r.labels[-1] - r.labels[0] >= high for r in rows.values())
+    ]
+    heads = ["", *(f"minus {LABELS[name]}, {low} to {high}" for name in fair for low, high in ranges)]
+    cells: list[list[object]] = [
+        [row.label, *(_error_cell(paired_error(row, rows[other], *points)) for other in fair for points in ranges)]
+        for name, row in rows.items()
+        if name.startswith("dropout/")
+    ]
     return heads, cells

@@ -5,7 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from dropout_uncertainty.active_learning.analysis import LABELS, Row, load_rows, original_rows, paired_error, share_tied
+from dropout_uncertainty.active_learning.analysis import (
+    END,
+    LABELS,
+    MIDDLE,
+    Row,
+    load_rows,
+    original_rows,
+    paired_error,
+    share_tied,
+)
 from dropout_uncertainty.records import Record
 from dropout_uncertainty.results import (
     MIN_REPETITIONS,
@@ -22,8 +31,8 @@ from dropout_uncertainty.stats import Interval, bootstrap_interval, first_crossi
 
 __all__ = ["CLAIMS"]
 
-#: Ranges of acquired points: "early" is where the curves part, "end" the last three points.
-EARLY, END, ALL = (100, 400), (960, 980), (100, 980)
+#: Acquired points from where the curves part to the last.
+ALL = (100, 980)
 NAMES = {"max-entropy": "Max Entropy", "variation-ratios": "Variation Ratios", "bald": "BALD"}
 
 Parts = tuple[list[Part], list[Record]]
@@ -115,7 +124,7 @@ def al3(rows: UsedRows) -> list[Part]:
     return [
         part
         for name in ("bald", "variation-ratios")
-        for when, acquired in (("early", EARLY), ("end", END))
+        for when, acquired in (("early", MIDDLE), ("end", END))
         for part in difference(
             rows, f"dropout/{name}", f"softmax/{name}", acquired, f"Dropout - Softmax {NAMES[name]}, {when}", "negative"
         )
@@ -145,7 +154,7 @@ def al5(rows: UsedRows) -> list[Part]:
     return [
         part
         for name in NAMES
-        for when, acquired in (("early", EARLY), ("end", END))
+        for when, acquired in (("early", MIDDLE), ("end", END))
         for part in difference(
             rows, "random", f"dropout/{name}", acquired, f"Random - {NAMES[name]}, {when}", "positive"
         )
