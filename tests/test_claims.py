@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from dropout_uncertainty import records
-from dropout_uncertainty.active_learning.analysis import load_rows, original_rows
+from dropout_uncertainty.active_learning.analysis import (
+    against_deterministic,
+    load_rows,
+    original_rows,
+    table_settings,
+)
 from dropout_uncertainty.active_learning.experiment import CONFIGS
 from dropout_uncertainty.claims import CLAIMS, collect
 from dropout_uncertainty.results import combine, direction, same_value, thesis_value
@@ -18,8 +23,8 @@ ENDS = {
 }  # fmt: skip
 
 
-def write_row(folder, name, end, seed, *, tied=False):
-    config = records.config_dict(CONFIGS[f"ours/{name}"])
+def write_row(folder, name, end, seed, *, tied=False, family="ours"):
+    config = records.config_dict(CONFIGS[f"{family}/{name}"])
     labels = np.arange(20, 1001, 10, dtype=np.int32)
     noise = 0.02 * np.random.default_rng([seed, len(name)]).standard_normal(99)
     error = (end + 30 * np.exp(-(labels - 20) / (60 * end)) + noise)[None].astype(np.float32)
@@ -28,10 +33,10 @@ def write_row(folder, name, end, seed, *, tied=False):
         "tied": np.ones((1, 98), np.int32), "points": np.arange(1000, dtype=np.int32)[None],
     }  # fmt: skip
     header = {
-        "experiment": "active_learning", "name": f"ours/{name}", "seeds": [seed], "config": config,
+        "experiment": "active_learning", "name": f"{family}/{name}", "seeds": [seed], "config": config,
         "config_hash": records.config_hash(config), "provenance": {},
     }  # fmt: skip
-    records.write(folder / "active_learning" / "ours" / name / f"{seed:03d}.npz", arrays, header)
+    records.write(folder / "active_learning" / family / name / f"{seed:03d}.npz", arrays, header)
 
 
 def world(folder, seeds=6, **changes):
@@ -85,6 +90,28 @@ def test_table_5_1_is_the_minimum_of_the_recorded_mean_curves():
     minima = {name: round(row.minimum.value, 2) for name, row in original_rows().items()}
     assert minima == {name: thesis_value(f"table-5.1/{name}") for name in minima}
     assert len(minima) == 7
+
+
+def test_settings_are_compared_where_a_row_has_been_run_in_more_than_one(tmp_path):
+    world(tmp_path, seeds=2)
+    assert table_settings(tmp_path)[1] == []
+    write_row(tmp_path, "random", 6.0, 0, family="as-recorded")
+    _, cells = table_settings(tmp_path)
+    assert [line[:2] for line in cells] == [
+        ["Random", "thesis, printed"],
+        ["Random", "common"],
+        ["Random", "as its script ran it"],
+    ]
+    (_, _, minimum, _, steps, repetitions) = cells[-1]
+    assert float(minimum) == pytest.approx(8.0, abs=0.1)
+    assert (steps, repetitions) == ("> 98", 1)
+
+
+def test_weight_draws_are_held_against_the_scores_of_one_pass(tmp_path):
+    heads, cells = against_deterministic(load_rows("ours", world(tmp_path, **{"dropout/bald": 3.2})))
+    assert [line[0] for line in cells] == ["Dropout Max Entropy", "Dropout Variation Ratios", "Dropout BALD"]
+    difference = cells[-1][heads.index("minus Softmax Least Confidence, 960 to 980")]
+    assert float(difference.split()[0]) == pytest.approx(1.2, abs=0.1)
 
 
 def test_the_rules():

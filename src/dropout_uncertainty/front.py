@@ -149,6 +149,13 @@ def _entropy(acquired: tuple[int, int], folder: Path | None) -> str | None:
     return None if draws is None or single is None else _words(active_learning.paired_error(draws, single, *acquired))
 
 
+def _entropy_steps(config: str, folder: Path | None) -> str | None:
+    """Return how many acquisitions a row chosen by an entropy needs to 5 % test error; ``config`` is "family/row"."""
+    family, name = config.split("/", 1)
+    row = active_learning.load_rows(family, folder).get(name)
+    return None if row is None else _words(row.crossing(), 0)
+
+
 def _printed_cells(statistic: str) -> str:
     """Return how many of the printed errors are a statistic of the original program's curves, to two decimals."""
     rows = active_learning.original_rows()
@@ -217,6 +224,9 @@ FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "tied": _tied,
     "entropy_middle": lambda folder: _entropy(active_learning.MIDDLE, folder),
     "entropy_end": lambda folder: _entropy(active_learning.END, folder),
+    "entropy_steps_draws": lambda folder: _entropy_steps("ours/dropout/max-entropy", folder),
+    "entropy_steps": lambda folder: _entropy_steps("ours/softmax/max-entropy", folder),
+    "entropy_steps_recorded": lambda folder: _entropy_steps("as-recorded/softmax/max-entropy", folder),
     "cells_minimum": lambda folder: _printed_cells("minimum"),
     "cells_last": lambda folder: _printed_cells("last"),
     "greedy_early": lambda folder: _greedy(EARLY, folder),

@@ -18,7 +18,7 @@ import subprocess
 import tempfile
 import zipfile
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass, field, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -52,8 +52,8 @@ class RecordError(UserError):
 class Record:
     """A verified record: ``header`` (see ``REQUIRED``), ``arrays`` by name, and the ``path`` it was read from."""
 
-    header: dict[str, Any]
-    arrays: dict[str, np.ndarray]
+    header: dict[str, Any] = field(repr=False)
+    arrays: dict[str, np.ndarray] = field(repr=False)
     path: Path
 
     @property

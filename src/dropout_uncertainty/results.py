@@ -211,8 +211,9 @@ class Judgement:
         if not counts:
             return "No records yet."
         least = min(counts)
-        few = f" At least {MIN_REPETITIONS} repetitions are needed for a verdict." if least < MIN_REPETITIONS else ""
-        return "; ".join(map(str, self.parts)) + f". Repetitions: {least} or more.{few}"
+        few = self.verdict == "undecided" and least < MIN_REPETITIONS
+        hint = f" At least {MIN_REPETITIONS} repetitions are needed for a verdict." if few else ""
+        return "; ".join(map(str, self.parts)) + f". Repetitions: {least} or more.{hint}"
 
     def result(self) -> Result:
         """Return the verdict in the form of ``python -m dropout_uncertainty results``."""

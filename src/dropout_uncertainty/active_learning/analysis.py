@@ -24,7 +24,7 @@ from dropout_uncertainty.stats import (
 
 __all__ = [
     "END", "LABELS", "MIDDLE", "Row", "against_deterministic", "check_quick", "from_records", "load_rows",
-    "original_rows", "paired_error", "results", "share_tied", "table_5_1", "table_5_2",
+    "original_rows", "paired_error", "results", "share_tied", "table_5_1", "table_5_2", "table_settings",
 ]  # fmt: skip
 
 #: How each row is called in tables and figures.
@@ -39,6 +39,8 @@ LABELS: dict[str, str] = {
     "dropout/bald": "Dropout BALD",
     "dropout/mean-std": "Dropout Mean STD",
 }
+#: How each family of configs that runs the rows of the tables is called.
+SETTINGS = {"ours": "common", "as-recorded": "as its script ran it", "as-written": "as the text has it"}
 #: Test error in % that Table 5.2 counts acquisitions to.
 THRESHOLD = 5.0
 #: Ranges of acquired points: where the curves part, and the last three points.
@@ -181,7 +183,7 @@ def check_quick(rows: dict[str, Row]) -> None:
 def results(folder: Path | None = None) -> list[Result]:
     """Return the numbers of Tables 5.1 and 5.2, with ids as in ``python -m dropout_uncertainty results``."""
     found = []
-    for family in ("ours", "as-recorded", "as-written"):
+    for family in SETTINGS:
         for name, row in load_rows(family, folder).items():
             if name in ROWS:
                 found += _row_results(row, "" if family == "ours" else f"/{family}")
@@ -260,16 +262,31 @@ def table_5_2(rows: dict[str, Row], threshold: float = THRESHOLD) -> tuple[list[
     return heads, cells
 
 
+def table_settings(folder: Path | None = None) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells of the rows that have been run in more than one setting, in each of them."""
+    heads = ["", "setting", "minimum [%]", "last [%]", f"acquisitions to {THRESHOLD:g} %", "repetitions"]
+    runs = {words: load_rows(family, folder) for family, words in SETTINGS.items()}
+    cells: list[list[object]] = []
+    for name in ROWS:
+        here = {words: rows[name] for words, rows in runs.items() if name in rows}
+        if len(here) < 2:
+            continue
+        printed = [thesis_value(f"table-5.1/{name}"), None, f"{thesis_value(f'table-5.2/{name}'):.0f}"]
+        cells.append([LABELS[name], "thesis, printed", *printed, len(original_rows()[name].error)])
+        for words, row in here.items():
+            steps = _steps_cell(row.crossing(), row.error.shape[1] - 1)
+            cells.append([row.label, words, *map(_error_cell, (row.minimum, row.last)), steps, len(row.error)])
+    return heads, cells
+
+
 def against_deterministic(rows: dict[str, Row]) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells of the test error of each Dropout row minus that of the scores of one pass, in points.
 
-    Those of one pass are Max Entropy and Least Confidence; the ranges are MIDDLE and END. A range that the curves do
-    not reach has no cell.
+    Those of one pass are Max Entropy and Least Confidence; the ranges are MIDDLE and END, or all of shorter curves.
     """
     fair = [name for name in ("softmax/max-entropy", "softmax/least-confidence") if name in rows]
-    ranges = [
-        (low, high) for low, high in (MIDDLE, END) if all(r.labels[-1] - r.labels[0] >= high for r in rows.values())
-    ]
+    reach = min((int(row.labels[-1] - row.labels[0]) for row in rows.values()), default=0)
+    ranges = [points for points in (MIDDLE, END) if points[1] <= reach] or [(0, reach)]
     heads = ["", *(f"minus {LABELS[name]}, {low} to {high}" for name in fair for low, high in ranges)]
     cells: list[list[object]] = [
         [row.label, *(_error_cell(paired_error(row, rows[other], *points)) for other in fair for points in ranges)]
