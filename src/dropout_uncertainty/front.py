@@ -222,7 +222,7 @@ def _words(interval: Interval, digits: int = 2) -> str:
 #: The numbers by name; each is computed from the records of a folder.
 FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "tied": _tied,
-    "entropy_middle": lambda folder: _entropy(active_learning.MIDDLE, folder),
+    "entropy_early": lambda folder: _entropy(active_learning.EARLY, folder),
     "entropy_end": lambda folder: _entropy(active_learning.END, folder),
     "entropy_steps_draws": lambda folder: _entropy_steps("ours/dropout/max-entropy", folder),
     "entropy_steps": lambda folder: _entropy_steps("ours/softmax/max-entropy", folder),

@@ -23,7 +23,7 @@ from dropout_uncertainty.stats import (
 )
 
 __all__ = [
-    "END", "LABELS", "MIDDLE", "Row", "against_deterministic", "check_quick", "from_records", "load_rows",
+    "EARLY", "END", "LABELS", "Row", "against_deterministic", "check_quick", "from_records", "load_rows",
     "original_rows", "paired_error", "results", "share_tied", "table_5_1", "table_5_2", "table_settings",
 ]  # fmt: skip
 
@@ -44,7 +44,7 @@ SETTINGS = {"ours": "common", "as-recorded": "as its script ran it", "as-written
 #: Test error in % that Table 5.2 counts acquisitions to.
 THRESHOLD = 5.0
 #: Ranges of acquired points: where the curves part, and the last three points.
-MIDDLE, END = (100, 400), (960, 980)
+EARLY, END = (100, 400), (960, 980)
 
 
 @dataclass(frozen=True)
@@ -263,16 +263,16 @@ def table_5_2(rows: dict[str, Row], threshold: float = THRESHOLD) -> tuple[list[
 
 
 def table_settings(folder: Path | None = None) -> tuple[list[str], list[list[object]]]:
-    """Return heads and cells of the rows that have been run in more than one setting, in each of them."""
+    """Return heads and cells of the thesis's rows that have been run in more than one setting, in each of them."""
     heads = ["", "setting", "minimum [%]", "last [%]", f"acquisitions to {THRESHOLD:g} %", "repetitions"]
     runs = {words: load_rows(family, folder) for family, words in SETTINGS.items()}
     cells: list[list[object]] = []
-    for name in ROWS:
+    for name, original in original_rows().items():
         here = {words: rows[name] for words, rows in runs.items() if name in rows}
         if len(here) < 2:
             continue
         printed = [thesis_value(f"table-5.1/{name}"), None, f"{thesis_value(f'table-5.2/{name}'):.0f}"]
-        cells.append([LABELS[name], "thesis, printed", *printed, len(original_rows()[name].error)])
+        cells.append([LABELS[name], "thesis, printed", *printed, len(original.error)])
         for words, row in here.items():
             steps = _steps_cell(row.crossing(), row.error.shape[1] - 1)
             cells.append([row.label, words, *map(_error_cell, (row.minimum, row.last)), steps, len(row.error)])
@@ -282,11 +282,11 @@ def table_settings(folder: Path | None = None) -> tuple[list[str], list[list[obj
 def against_deterministic(rows: dict[str, Row]) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells of the test error of each Dropout row minus that of the scores of one pass, in points.
 
-    Those of one pass are Max Entropy and Least Confidence; the ranges are MIDDLE and END, or all of shorter curves.
+    Those of one pass are Max Entropy and Least Confidence; the ranges are EARLY and END, or all of shorter curves.
     """
     fair = [name for name in ("softmax/max-entropy", "softmax/least-confidence") if name in rows]
     reach = min((int(row.labels[-1] - row.labels[0]) for row in rows.values()), default=0)
-    ranges = [points for points in (MIDDLE, END) if points[1] <= reach] or [(0, reach)]
+    ranges = [points for points in (EARLY, END) if points[1] <= reach] or [(0, reach)]
     heads = ["", *(f"minus {LABELS[name]}, {low} to {high}" for name in fair for low, high in ranges)]
     cells: list[list[object]] = [
         [row.label, *(_error_cell(paired_error(row, rows[other], *points)) for other in fair for points in ranges)]

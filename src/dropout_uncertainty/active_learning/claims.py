@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from dropout_uncertainty.active_learning.analysis import (
+    EARLY,
     END,
     LABELS,
-    MIDDLE,
     Row,
     load_rows,
     original_rows,
@@ -124,7 +124,7 @@ def al3(rows: UsedRows) -> list[Part]:
     return [
         part
         for name in ("bald", "variation-ratios")
-        for when, acquired in (("early", MIDDLE), ("end", END))
+        for when, acquired in (("early", EARLY), ("end", END))
         for part in difference(
             rows, f"dropout/{name}", f"softmax/{name}", acquired, f"Dropout - Softmax {NAMES[name]}, {when}", "negative"
         )
@@ -154,7 +154,7 @@ def al5(rows: UsedRows) -> list[Part]:
     return [
         part
         for name in NAMES
-        for when, acquired in (("early", MIDDLE), ("end", END))
+        for when, acquired in (("early", EARLY), ("end", END))
         for part in difference(
             rows, "random", f"dropout/{name}", acquired, f"Random - {NAMES[name]}, {when}", "positive"
         )
