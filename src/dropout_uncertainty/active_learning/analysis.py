@@ -222,7 +222,7 @@ def reached(value: float, last: int) -> str:
 def _error_cell(interval: Interval | None) -> str | None:
     if interval is None:
         return None
-    return f"{interval.value:.2f}" + ("" if interval.n < 2 else f" [{interval.low:.2f}, {interval.high:.2f}]")
+    return f"{interval.value:z.2f}" + ("" if interval.n < 2 else f" [{interval.low:z.2f}, {interval.high:z.2f}]")
 
 
 def _steps_cell(interval: Interval | None, last: int) -> str | None:
