@@ -138,6 +138,12 @@ def test_the_entropy_of_one_pass_keeps_up_with_that_of_weight_draws(facts):
         assert low < 0 < high
 
 
+def test_the_setting_of_its_script_holds_the_entropy_of_one_pass_back(facts):
+    assert interval(facts["entropy_steps_recorded"])[0] > interval(facts["entropy_steps"])[1]
+    low, high = interval(facts["entropy_steps_draws"])
+    assert low <= number(facts["entropy_steps"]) <= high
+
+
 def test_the_printed_errors_are_lowest_points(facts):
     assert facts["cells_minimum"] == "7 of 7"
     assert number(facts["cells_last"]) < 7
