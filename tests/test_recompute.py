@@ -54,6 +54,16 @@ def test_elsewhere_rounding_is_forgiven_and_another_walk_is_not(record):
     assert "path is -30 off on average" in comparison.problems[0]
 
 
+def test_a_change_of_the_code_that_rounds_otherwise_is_forgiven_too(record, monkeypatch):
+    assert record.header["provenance"]["rounding"] == 1
+    path = record.arrays["path"] * (1 + 1e-9)
+    assert recompute(toy.unit(), changed(record, path), progress=False).problems
+    monkeypatch.setattr(toy.RandomWalk, "ROUNDING", 2, raising=False)
+    comparison = recompute(toy.unit(), changed(record, path), progress=False)
+    assert not comparison.problems
+    assert comparison.elsewhere == ["rounding 1 there, 2 here"]
+
+
 @pytest.mark.skipif(runs.torch.cuda.is_available(), reason="there is a GPU")
 def test_without_a_gpu_the_record_of_one_is_recomputed_on_the_cpu(record):
     unit = replace(toy.unit(), device="cuda")

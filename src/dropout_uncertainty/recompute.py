@@ -16,12 +16,12 @@ from tqdm.auto import tqdm
 
 from dropout_uncertainty import records
 from dropout_uncertainty.records import Record
-from dropout_uncertainty.runs import Process, Unit, check_device
+from dropout_uncertainty.runs import Process, Unit, check_device, rounding
 
 __all__ = ["Comparison", "choose", "recompute"]
 
 #: What must be the same for a result to come out bit for bit, beside device type and precision.
-SAME = ("torch", "numpy", "scipy", "system", "processor", "processor_family")
+SAME = ("torch", "numpy", "scipy", "system", "processor", "processor_family", "rounding")
 #: Elsewhere rounding sends runs on other ways. Then the mean of an array over replicas and steps must agree within this
 #: share of its mean size, or within so many standard errors of the paired difference over replicas.
 TOLERANCE, STANDARD_ERRORS = 0.2, 4.0
@@ -89,10 +89,11 @@ def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: boo
     if differing:
         raise ValueError(f"{record.label} is not the record of {unit.label}: other {', '.join(differing)}")
     device = check_device("auto") if unit.device == "cuda" else "cpu"
-    origin, here = record.header["provenance"], records.provenance(device)
+    origin = {"rounding": 1, **record.header["provenance"]}
     with _threads(origin.get("threads", 1)):
         process = unit.start(unit.config, unit.seeds, device=device, precision=unit.precision)
         spent = _advance(process, seconds, unit.label, progress)
+    here = {**records.provenance(device), "rounding": rounding(process)}
     with np.errstate(invalid="ignore"):  # counts of steps to come are integers that were NaN
         again = process.result()
     settled = {name: _settled(array, again.get(name), process) for name, array in record.arrays.items()}
@@ -171,5 +172,5 @@ def _far(name: str, recorded: np.ndarray, again: np.ndarray) -> str | None:
     return f"{name} is {differences.mean():+.3g} off on average, {allowed:.3g} is allowed"
 
 
-def _changed(key: str, recorded: str | None, here: str) -> str | None:
+def _changed(key: str, recorded: str | int | None, here: str | int) -> str | None:
     return None if recorded == here else f"{key} {recorded or 'not recorded'} there, {here} here"

@@ -27,7 +27,8 @@ from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.records import Record, RecordError
 
 __all__ = [
-    "Process", "RunError", "Unit", "check_device", "cluster", "precision_dtype", "processes", "run", "run_unit",
+    "Process", "RunError", "Unit", "check_device", "cluster", "precision_dtype", "processes", "rounding", "run",
+    "run_unit",
 ]  # fmt: skip
 
 #: Seconds between checkpoints; a kill loses at most this much work and the step under way.
@@ -43,7 +44,11 @@ class RunError(UserError):
 
 @runtime_checkable
 class Process(Protocol):
-    """The work of one unit, in steps."""
+    """The work of one unit, in steps.
+
+    A process may have ``timings()``, computing time by part for the provenance, and a number ``ROUNDING``, raised when
+    a change of the code alters the last digits of its results: older records are then recomputed within a tolerance.
+    """
 
     total: int
     done: int
@@ -234,12 +239,17 @@ def _compute(unit: Unit, path: Path, partial: Path, progress: bool) -> Record:
                 _save(partial, {"state": process.state(), "clock": clock})
                 last = time.monotonic()
                 saving = last - begin
-    timings: dict[str, Any] = getattr(process, "timings", dict)()  # optional: computing time by part
-    origin = {"provenance": {**where, **clock, **timings}}
-    header = {**unit.identity, "config": records.config_dict(unit.config), **origin}
+    timings: dict[str, Any] = getattr(process, "timings", dict)()
+    origin = {**where, **clock, **timings, "rounding": rounding(process)}
+    header = {**unit.identity, "config": records.config_dict(unit.config), "provenance": origin}
     record = records.write(path, process.result(), header)
     partial.unlink(missing_ok=True)
     return record
+
+
+def rounding(process: Process) -> int:
+    """Return the number of the process's way of rounding, 1 at first."""
+    return getattr(process, "ROUNDING", 1)
 
 
 @contextlib.contextmanager

@@ -6,12 +6,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from dropout_uncertainty import runs
-from dropout_uncertainty.data_efficiency import experiment, pilco
+from dropout_uncertainty.data_efficiency import (
+    cartpole,
+    controllers,
+    experiment,
+    moment_matching,
+    pilco,
+    squared_exponential,
+)
+from dropout_uncertainty.data_efficiency import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER, features, step
 from dropout_uncertainty.data_efficiency.controllers import force
 from dropout_uncertainty.data_efficiency.cost import cost, solved
+from dropout_uncertainty.data_efficiency.lockstep import Minimum
 from dropout_uncertainty.rng import generator
 
 #: Two short trials with the least work that goes through every part.
@@ -125,9 +136,50 @@ def test_a_controller_that_cannot_be_evaluated_is_redrawn_and_counted(finished):
     np.testing.assert_allclose(record["policy"][0, 1], finished.result()["policy"][0, 1], rtol=1e-5, atol=1e-5)
 
 
+class Answers(TorchDispatchMode):
+    """Tensors without numbers say no to "is any of you", and 1 when asked for a value."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        if func in (torch.ops.aten._local_scalar_dense.default, torch.ops.aten.allclose.default):
+            return not hasattr(args[0], "of_any") and (args[0].dtype == torch.bool or 1.0)
+        result = func(*args, **(kwargs or {}))
+        if func is torch.ops.aten.any.default:
+            result.of_any = True
+        return result
+
+
+@pytest.mark.parametrize("inducing", [0, 2])
+def test_models_are_evaluated_on_their_device_and_all_else_stays_on_the_cpu(monkeypatch, inducing):
+    """Shown without a GPU: on another device, whose tensors hold no numbers but do not mix with the CPU's."""
+    config = replace(SHORT, plant=replace(SHORT.plant, steps=3), trials=1, inducing=inducing)
+    evaluated = []
+
+    def evaluate_once(objective, start, iterations):
+        assert start.device.type == "cpu"
+        evaluated.extend(result.device.type for result in objective(start, list(range(len(start)))))
+        none = torch.zeros(len(start), dtype=torch.int64)
+        return Minimum(start, none.double(), none, none, none, none)
+
+    for module in (gp, pilco):
+        monkeypatch.setattr(module, "minimise", evaluate_once)
+    for module in (controllers, moment_matching, squared_exponential):
+        for name, function in vars(module).copy().items():
+            if hasattr(function, "cache_clear"):
+                monkeypatch.setattr(module, name, function.__wrapped__)
+    monkeypatch.setattr(gp, "initial_inducing", lambda inputs, count, seeds: inputs[:, :count])
+    monkeypatch.setattr(squared_exponential, "BLOCK", {"lazy": 100})
+    monkeypatch.setattr(cartpole, "step", lambda plant, state, force: state)  # would take most of the time
+    with FakeTensorMode(), Answers():
+        process = finish(experiment.start(config, (100, 101), device="lazy:0"))
+    kept = (value for value in process.state().values() if isinstance(value, torch.Tensor))
+    assert {tensor.device.type for tensor in kept} == {"cpu"}
+    assert evaluated == ["lazy"] * (6 if inducing else 4)
+
+
 def test_units_cut_seeds_into_batches_and_presets_differ_in_the_plant_only():
     units = experiment.units("pilco-paper", range(100, 145))
     assert [len(unit.seeds) for unit in units] == [20, 20, 5]
+    assert [len(unit.seeds) for unit in experiment.units("pilco-paper", device="cuda")] == [40]
     assert units[0].label == "data_efficiency/pilco-paper/100-119"
     assert replace(experiment.PILCO_PAPER, plant=MATLAB) == experiment.PILCO_MATLAB
 
@@ -149,8 +201,8 @@ def test_bad_input_is_named():
         experiment.start(SHORT, ())
     with pytest.raises(ValueError, match="must be positive"):
         replace(SHORT, trials=0)
-    with pytest.raises(ValueError, match="float64, got cuda"):
-        experiment.start(SHORT, (100,), device="cuda")
+    with pytest.raises(ValueError, match="float64, got float32"):
+        experiment.start(SHORT, (100,), precision="float32")
 
 
 def test_first_centres_come_from_the_start_distribution():

@@ -6,7 +6,7 @@ applies both.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Protocol, runtime_checkable
 
 import torch
@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.cartpole import CartPole, features
-from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, Moments, linear_moments, sine_moments
+from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, Moments, linear_moments, sines
 from dropout_uncertainty.data_efficiency.squared_exponential import (
     SquaredExponential,
     nan_cholesky,
@@ -62,7 +62,7 @@ class RBFController:
         weights = torch.cholesky_solve(targets[..., None], nan_cholesky(gram))[..., 0]
         return cls(centres, log_length_scales, weights)
 
-    @property
+    @cached_property
     def functions(self) -> SquaredExponential:
         """The preliminary output as functions whose moments are known."""
         log_height = torch.zeros_like(self.weights[..., 0])
@@ -102,9 +102,9 @@ def squash(u: Float[Tensor, "*batch"], limit: float) -> Float[Tensor, "*batch"]:
 def squash_moments(u: Gaussian, limit: float | Tensor) -> Moments:
     """Return the moments of ``squash``, element by element, for a Gaussian u and one limit or one per element."""
     _, spread, mix = _squash_constants(u.mean.shape[-1], u.mean.dtype, u.mean.device)
-    sines = sine_moments(linear_moments(u, spread).out)
-    squashed = linear_moments(sines.out, limit * mix)
-    return Moments(squashed.mean, squashed.cov, spread @ sines.slope @ squashed.slope)
+    mean, cov, derivative = sines(u.mean @ spread, spread.mT @ u.cov @ spread)
+    mix = limit * mix
+    return Moments(mean @ mix, mix.mT @ cov @ mix, torch.diag_embed(derivative @ (spread.mT * mix)))
 
 
 @cache

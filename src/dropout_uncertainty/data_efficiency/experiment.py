@@ -26,8 +26,8 @@ __all__ = [
 ]  # fmt: skip
 
 EXPERIMENT = "data_efficiency"
-#: Repetitions per unit: what does not depend on the data (most of the time in the first trials) they share.
-GROUP = 20
+#: Repetitions per unit, by device: what does not depend on the data (most of the time in the first trials) they share.
+GROUP = {"cpu": 20, "cuda": 40}
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,8 @@ CONFIGS: dict[str, PilcoConfig | DeepPilcoConfig] = {
 class PilcoLearning:
     """R repetitions of PILCO (thesis algorithm 3) in one batch; step 0 is the random trial."""
 
+    #: 2: the moments of the controller and the features are worked out in fewer operations.
+    ROUNDING = 2
     #: Kept in full precision: with these a longer config continues from the record as if it had never stopped.
     CONTINUED = ("observed", "forces", "hyper", "policy")
     #: What computing time is spent on; "gradients" are for the record only.
@@ -89,10 +91,10 @@ class PilcoLearning:
         "policy_redrawn",  # the controller could not be evaluated and began anew from a random one
     )
 
-    def __init__(self, config: PilcoConfig, seeds: Sequence[int]) -> None:
+    def __init__(self, config: PilcoConfig, seeds: Sequence[int], device: str = "cpu") -> None:
         if not seeds:
             raise ValueError("at least one seed is needed, got none")
-        self.config, self.seeds = config, tuple(seeds)
+        self.config, self.seeds, self.device = config, tuple(seeds), device
         self.total, self.done = config.trials + 1, 0
         self.shape = pilco.PolicyShape(config.basis)
         self.policy = self._draw_policy(0)
@@ -139,7 +141,7 @@ class PilcoLearning:
         costs = self.log["costs"][:, self.done]
         self.done += 1
         count = int(solved(self.config.plant, costs).sum())
-        return f"cost {costs.mean():.3f}, solved {count}/{len(self.seeds)}"
+        return f"cost {costs.mean().item():.3f}, solved {count}/{len(self.seeds)}"
 
     @contextlib.contextmanager
     def _timed(self, part: str) -> Iterator[None]:
@@ -150,22 +152,23 @@ class PilcoLearning:
     def _train(self) -> SquaredExponential:
         """Step 5: fit hyper-parameters, then inducing inputs if there are many data; return the posterior."""
         config, outputs = self.config, self.targets.shape[1]
-        self.hyper, found = pilco.train_model(self.inputs, self.targets, self.hyper, config.model_iterations)
+        inputs, targets = self.inputs.to(self.device), self.targets.to(self.device)
+        self.hyper, found = pilco.train_model(inputs, targets, self.hyper, config.model_iterations)
         self.log["hyper"][:, self.done] = self.hyper
         per_run = found.iterations.reshape(-1, outputs).sum(1)
         self.counts["model_line_searches"][:, self.done] = per_run
         repairs = (found.repairs + found.failures).reshape(-1, outputs).sum(1)
-        model = gp.GaussianProcess(self.inputs, self.targets, self.hyper)
-        if 0 < config.inducing < self.inputs.shape[1]:
+        model = gp.GaussianProcess(inputs, targets, self.hyper.to(self.device))
+        if 0 < config.inducing < inputs.shape[1]:
             iterations = config.inducing_iterations
             if self.inducing is None:
                 iterations *= 3
                 self.inducing = gp.initial_inducing(self.inputs, config.inducing, list(self.seeds))
             self.inducing, found = gp.fit_inducing(model, self.inducing, iterations)
             repairs = repairs + found.repairs + found.failures
-            model = replace(model, inducing=self.inducing)
+            model = replace(model, inducing=self.inducing.to(self.device))
         posterior, jittered = model.posterior()
-        self.counts["model_repairs"][:, self.done] = repairs + jittered
+        self.counts["model_repairs"][:, self.done] = repairs + jittered.cpu()
         return posterior
 
     def _record_gradients(self, model: SquaredExponential) -> None:
@@ -194,8 +197,8 @@ class PilcoLearning:
 
     def _predict(self, model: SquaredExponential) -> None:
         plant = self.config.plant
-        begin = pilco.start_distribution(plant, len(self.seeds))
-        states = pilco.predict(model, self.shape.controller(self.policy), plant, begin)
+        begin = pilco.start_distribution(plant, len(self.seeds), self.device)
+        states = pilco.predict(model, self.shape.controller(self.policy.to(self.device)), plant, begin)
         self.log["predicted_mean"][:, self.done] = states.mean
         self.log["predicted_variance"][:, self.done] = states.cov.diagonal(dim1=-2, dim2=-1)
         self.log["predicted_cost"][:, self.done] = pilco.expected_costs(plant, states)
@@ -274,11 +277,11 @@ def start(config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precis
     """Return the process of one unit.
 
     Raises:
-        ValueError: for another device or precision than the ones it is made for.
+        ValueError: for another precision than float64.
     """
-    if (device, precision) != ("cpu", "float64"):
-        raise ValueError(f"PILCO runs on the cpu in float64, got {device} and {precision}; leave both out")
-    return PilcoLearning(config, seeds)
+    if precision != "float64":
+        raise ValueError(f"PILCO runs in float64, got {precision}; leave it out")
+    return PilcoLearning(config, seeds, device)
 
 
 def start_longer(
@@ -327,6 +330,7 @@ def units(
         raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
     if name in deep_pilco_experiment.CONFIGS:
         return deep_pilco_experiment.units(name, seeds, device, precision or "float32")
-    groups = [tuple(seeds[i : i + GROUP]) for i in range(0, len(seeds), GROUP)]
+    size = GROUP[device]
+    groups = [tuple(seeds[i : i + size]) for i in range(0, len(seeds), size)]
     begin = start_longer if name in LONGER else start
     return [Unit(EXPERIMENT, name, begin, CONFIGS[name], group, device, precision or "float64") for group in groups]

@@ -142,7 +142,7 @@ def fit_hyper(
     input_std = inputs.std(1)
 
     def objective(x: Tensor, numbers: list[int]) -> tuple[Tensor, Tensor]:
-        index = torch.tensor(numbers, device=inputs.device)
+        x, index = x.to(inputs), torch.tensor(numbers, device=inputs.device)
         replica, output = index // outputs, index % outputs
         value, gradient = negative_log_likelihood(x, inputs[replica], targets[replica, output])
         extra, slope = penalty(x, input_std[replica])
@@ -191,7 +191,7 @@ def fit_inducing(
 
     def objective(x: Tensor, numbers: list[int]) -> tuple[Tensor, Tensor]:
         part = GaussianProcess(model.inputs[numbers], model.targets[numbers], model.log_hyper[numbers])
-        value, gradient = inducing_negative_log_likelihood(x.reshape(-1, *start.shape[1:]), part)
+        value, gradient = inducing_negative_log_likelihood(x.to(model.inputs).reshape(-1, *start.shape[1:]), part)
         return value, gradient.flatten(1)
 
     found = minimise(objective, start.flatten(1), iterations)

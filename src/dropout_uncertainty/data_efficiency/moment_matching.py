@@ -13,6 +13,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import pad
 
 
 class Gaussian(NamedTuple):
@@ -41,42 +42,39 @@ def linear_moments(x: Gaussian, matrix: Float[Tensor, "... D E"], offset: Tensor
     return Moments(mean, matrix.mT @ x.cov @ matrix, matrix)
 
 
-def sine_moments(x: Gaussian) -> Moments:
-    """Return the moments of sin x, element by element."""
-    variance = x.cov.diagonal(dim1=-2, dim2=-1)
-    row, column = x.mean[..., :, None], x.mean[..., None, :]
-    decay = torch.exp(-variance / 2)
-    same = torch.expm1(x.cov) * (row - column).cos()
-    opposite = torch.expm1(-x.cov) * (row + column).cos()
-    cov = (same - opposite) * decay[..., :, None] * decay[..., None, :] / 2
-    return Moments(decay * x.mean.sin(), cov, torch.diag_embed(decay * x.mean.cos()))
+def sines(mean: Float[Tensor, "... D"], cov: Float[Tensor, "... D D"]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return mean [..., D] and covariance [..., D, D] of sin x for a Gaussian x, and the mean of cos x [..., D]."""
+    row, column = mean[..., :, None], mean[..., None, :]
+    decay = torch.exp(cov.diagonal(dim1=-2, dim2=-1) / -2)
+    same = torch.expm1(cov) * (row - column).cos()
+    opposite = torch.expm1(-cov) * (row + column).cos()
+    spread = (same - opposite) * (decay[..., :, None] * decay[..., None, :] / 2)
+    return decay * mean.sin(), spread, decay * mean.cos()
 
 
-def appended(x: Gaussian, y: Moments, keep: Float[Tensor, "D J"], place: Float[Tensor, "E J"]) -> Moments:
-    """Return the joint moments of ``x @ keep + y @ place``, where y is a function of x: usually x with y behind it."""
-    slope = keep + y.slope @ place
-    own = y.cov - y.slope.mT @ x.cov @ y.slope  # what y has beyond its linear part
-    return Moments(x.mean @ keep + y.mean @ place, slope.mT @ x.cov @ slope + place.mT @ own @ place, slope)
-
-
-@cache
-def behind(kept: int, dim: int, added: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Return the maps of ``appended`` that keep the first of x's dim entries and put the added ones behind them."""
-    identity = torch.eye(kept + added, dtype=dtype, device=device)
-    nothing = identity.new_zeros(dim - kept, kept + added)
-    return torch.cat((identity[:kept], nothing)), identity[kept:]
+def appended(x: Gaussian, y: Moments, kept: int) -> Moments:
+    """Return the joint moments of the first ``kept`` entries of x and, behind them, y, a function of x."""
+    cross = x.cov[..., :kept, :] @ y.slope
+    upper = torch.cat((x.cov[..., :kept, :kept], cross), -1)
+    cov = torch.cat((upper, torch.cat((cross.mT, y.cov), -1)), -2)
+    identity = _identity(x.cov.shape[-1], x.cov.dtype, x.cov.device)[:, :kept]
+    slope = torch.cat((identity.expand(*x.cov.shape[:-1], kept), y.slope), -1)
+    return Moments(torch.cat((x.mean[..., :kept], y.mean), -1), cov, slope)
 
 
 def feature_moments(state: Gaussian) -> Moments:
     """Return the moments of (x, v, w, sin theta, cos theta) of a Gaussian state (x, v, w, theta)."""
-    keep, place = behind(3, 4, 2, state.mean.dtype, state.mean.device)
-    twice, shift = _angle_constants(state.mean.dtype, state.mean.device)
-    angles = linear_moments(state, twice, shift)  # theta and theta + pi / 2, since cos theta = sin(theta + pi / 2)
-    trig = sine_moments(angles.out)
-    return appended(state, Moments(trig.mean, trig.cov, twice @ trig.slope), keep, place)
+    angle, variance = state.mean[..., 3:], state.cov[..., 3:, 3:]
+    quarter = _quarter_turn(state.mean.dtype, state.mean.device)  # cos theta = sin(theta + pi / 2)
+    mean, cov, derivative = sines(angle + quarter, variance.expand(*angle.shape[:-1], 2, 2))
+    return appended(state, Moments(mean, cov, pad(derivative[..., None, :], (0, 0, 3, 0))), 3)
 
 
 @cache
-def _angle_constants(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    twice = torch.tensor([[0.0, 0], [0, 0], [0, 0], [1, 1]], dtype=dtype, device=device)
-    return twice, torch.tensor([0.0, torch.pi / 2], dtype=dtype, device=device)
+def _identity(dim: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    return torch.eye(dim, dtype=dtype, device=device)
+
+
+@cache
+def _quarter_turn(dtype: torch.dtype, device: torch.device) -> Tensor:
+    return torch.tensor([0.0, torch.pi / 2], dtype=dtype, device=device)

@@ -3,6 +3,7 @@
 Steps of the algorithm and where they are: 4 run a trial (``cartpole.rollout``), 5 train the dynamics model
 (``train_model``), 6 predict state distributions (``predict``), 7 expected cost and its gradient
 (``expected_costs``), 8 improve the controller (``improve``). ``experiment`` joins them. float64, replicas R first.
+The model is evaluated on the device that holds its data; parameters stay on the CPU, where the optimisers are.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from dropout_uncertainty.data_efficiency.cartpole import FEATURE_NAMES, CartPole
 from dropout_uncertainty.data_efficiency.controllers import Controller, RBFController, force, force_moments
 from dropout_uncertainty.data_efficiency.cost import cost, cost_moments
 from dropout_uncertainty.data_efficiency.lockstep import Minimum, minimise
-from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, appended, behind, feature_moments
+from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, appended, feature_moments
 from dropout_uncertainty.data_efficiency.squared_exponential import SquaredExponential
 
 DIM = len(FEATURE_NAMES)
@@ -39,7 +40,7 @@ def propagate(model: SquaredExponential, controller: Controller, limit: float, s
     """
     seen = feature_moments(state)
     force = force_moments(controller, limit, seen.out)
-    joint = appended(seen.out, force, *behind(DIM, DIM, 1, seen.mean.dtype, seen.mean.device))
+    joint = appended(seen.out, force, DIM)
     change = model.moments(joint.out)
     shared = state.cov @ seen.slope @ joint.slope @ change.slope
     return Gaussian(state.mean + change.mean, state.cov + change.cov + shared + shared.mT)
@@ -64,10 +65,10 @@ def predict(
     return Gaussian(torch.stack([s.mean for s in states], 1), torch.stack([s.cov for s in states], 1))
 
 
-def start_distribution(plant: CartPole, replicas: int) -> Gaussian:
+def start_distribution(plant: CartPole, replicas: int, device: torch.device | str = "cpu") -> Gaussian:
     """Return p(X_0) for each replica."""
-    mean = torch.tensor(plant.start_mean, dtype=torch.float64).expand(replicas, 4)
-    cov = plant.start_std**2 * torch.eye(4, dtype=torch.float64).expand(replicas, 4, 4)
+    mean = torch.tensor(plant.start_mean, dtype=torch.float64, device=device).expand(replicas, 4)
+    cov = plant.start_std**2 * torch.eye(4, dtype=torch.float64, device=device).expand(replicas, 4, 4)
     return Gaussian(mean, cov)
 
 
@@ -112,9 +113,9 @@ def objective(
     model: SquaredExponential, plant: CartPole, shape: PolicyShape, parameters: Float[Tensor, "R P"]
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, "R P"]]:
     """Return the predicted sum of expected costs over times 1 ... T and its gradient in the controller's parameters."""
-    leaf = parameters.detach().requires_grad_()
+    leaf = parameters.detach().to(model.centres).requires_grad_()
     with torch.enable_grad():
-        states = predict(model, shape.controller(leaf), plant, start_distribution(plant, len(leaf)))
+        states = predict(model, shape.controller(leaf), plant, start_distribution(plant, len(leaf), leaf.device))
         total = expected_costs(plant, states).sum(-1)
         (gradient,) = torch.autograd.grad(total.sum(), leaf)
     return total.detach(), gradient
@@ -139,8 +140,8 @@ def step_gradients(
     The first are gradients of the expected costs of times 1 ... T, which sum to that of ``objective``; the second
     those of a model without doubt (``predict_points``), to compare with (thesis section 5.4.1, last paragraph).
     """
-    leaf = parameters.detach().requires_grad_()
-    start = start_distribution(plant, len(leaf))
+    leaf = parameters.detach().to(model.centres).requires_grad_()
+    start = start_distribution(plant, len(leaf), leaf.device)
     with torch.enable_grad():
         states = predict(model, shape.controller(leaf), plant, start)
         sure = predict_points(model, shape.controller(leaf), plant, start.mean)
@@ -178,7 +179,7 @@ def train_model(
     A replica whose likelihood cannot be computed at the warm start begins from the spread of the data
     instead.
     """
-    fresh = gp.initial_hyper(inputs, targets)
+    fresh = gp.initial_hyper(inputs, targets).cpu()
     start = fresh if log_hyper is None else log_hyper
     fitted, found = gp.fit_hyper(inputs, targets, start, iterations)
     failed = found.value.isnan().reshape(start.shape[:2])

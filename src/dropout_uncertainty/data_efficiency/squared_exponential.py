@@ -10,11 +10,13 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import pad
 
 from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, Moments
 
-# Numbers of a block of N x N arrays worked on at once: 1 MiB of float64, the second-level cache of a current core.
-BLOCK = 2**17
+# Numbers of a block of N x N arrays worked on at once: 1 MiB of float64, the second-level cache of a current core; on a
+# GPU few large blocks are faster than many small ones.
+BLOCK = {"cpu": 2**17, "cuda": 2**26}
 
 
 @dataclass(frozen=True)
@@ -41,18 +43,48 @@ class SquaredExponential:
             raise ValueError(f"expected length-scales, signal and weights of shapes {expected}, got {got}")
 
     @cached_property
-    def inverse_square(self) -> Tensor:
-        """The inverse squared length-scales [R, E, D]."""
-        return torch.exp(-2 * self.log_length_scales)
+    def inverse_squares(self) -> Tensor:
+        """The inverse squared length-scales of the functions and of their products f_i f_j, i <= j [R, E + P, D]."""
+        own, (first, second) = torch.exp(-2 * self.log_length_scales), self._pairs
+        return torch.cat((own, own[:, first] + own[:, second]), 1)
+
+    @cached_property
+    def roots(self) -> Tensor:
+        """The square roots of ``inverse_squares``."""
+        return self.inverse_squares.sqrt()
+
+    @cached_property
+    def terms(self) -> tuple[Tensor, Tensor]:
+        """The functions and their products f_i f_j, i <= j, as sums of terms ``weight exp(-|root x - centre|^2 / 2)``.
+
+        The product of two terms is another, so that a second moment is an expectation like the first. Returns centres
+        [R, E + P, N^2, D] and weights [R, E + P, N^2]; the functions themselves have N terms, then zeros.
+        """
+        outputs, (first, second) = self.weights.shape[1], self._pairs
+        own, total = self.inverse_squares.split((outputs, len(first)), 1)
+        left, right = own[:, first, None, None], own[:, second, None, None]
+        x, y = self.centres[:, None, :, None], self.centres[:, None, None]
+        between = (left * x + right * y) / total.sqrt()[:, :, None, None]
+        overlap = torch.exp(-((x - y) ** 2 * left * right / total[:, :, None, None]).sum(-1) / 2)
+        weights = torch.exp(2 * self.log_signal_std)[..., None] * self.weights
+        products = weights[:, first, :, None] * weights[:, second, None] * overlap
+        zeros = (0, overlap.shape[-1] ** 2 - overlap.shape[-1])
+        alone = self.centres[:, None] * self.roots[:, :outputs, None]
+        centres = torch.cat((pad(alone, (0, 0, *zeros)), between.flatten(2, 3)), 1)
+        return centres, torch.cat((pad(weights, zeros), products.flatten(2)), 1)
 
     @cached_property
     def curvature(self) -> Tensor:
         """Per pair of outputs i <= j, the outer product of weights, less the precision where i = j [R, P, N, N]."""
-        first, second = _pairs(self.weights.shape[1], self.weights.device)
+        first, second = self._pairs
         product = self.weights[:, first, :, None] * self.weights[:, second, None]
         if self.precision is not None:
-            product[:, first == second] -= self.precision
+            product[:, _pair_numbers(self.weights.shape[1], product.device).diagonal()] -= self.precision
         return product
+
+    @property
+    def _pairs(self) -> tuple[Tensor, Tensor]:
+        return _pairs(self.weights.shape[1], self.weights.device)
 
     def __call__(self, x: Float[Tensor, "R *K D"]) -> Float[Tensor, "R *K E"]:
         """Return the functions' (mean) values at points."""
@@ -81,11 +113,9 @@ class SquaredExponential:
         Gradients with respect to the functions' own parameters exist only without ``precision``.
         """
         if self.precision is None:
-            z = self.centres - x.mean[:, None]
-            mean, slope = _expectation(self, z, x.cov)
-            square = _second_moment(self, z, x.cov)
+            mean, slope, square = _mixture_moments(self, *x)
         else:
-            mean, slope, square = PosteriorMoments.apply(x.mean, x.cov, self)
+            mean, slope, square = PosteriorMoments.apply(*x, self)
         return Moments(mean, square - mean[..., :, None] * mean[..., None, :], slope)
 
 
@@ -98,31 +128,16 @@ def squared_exponential(x: Tensor, y: Tensor, log_length_scales: Tensor, log_sig
     return torch.exp(2 * log_signal_std[..., None, None] - distance / 2)
 
 
-def _expectation(f: SquaredExponential, z: Tensor, cov: Tensor) -> tuple[Tensor, Tensor]:
-    """Return mean [R, E] and slope [R, D, E], with gradients with respect to everything; z = centres - mean."""
-    inverse_scale = torch.exp(-f.log_length_scales)  # [R, E, D]
-    inverse, log_det = _SPDInverse.apply(_system(cov, inverse_scale))
-    scaled = z[:, None] * inverse_scale[..., None, :]  # [R, E, N, D]
-    pull = scaled @ inverse
-    exponent = (2 * f.log_signal_std - log_det / 2)[..., None] - (scaled * pull).sum(-1) / 2
-    height = torch.exp(exponent) * f.weights
-    slope = (height[..., None, :] @ pull)[..., 0, :] * inverse_scale
-    return height.sum(-1), slope.mT
-
-
-def _second_moment(f: SquaredExponential, z: Tensor, cov: Tensor) -> Tensor:
-    """Return E f_i f_j [R, E, E] of the functions as they are, with gradients with respect to everything."""
-    inverse_square = f.inverse_square
-    scaled = z[:, None] * inverse_square[..., None, :]  # [R, E, N, D]
-    log_height = 2 * f.log_signal_std[..., None] - (scaled * z[:, None]).sum(-1) / 2
-    root = (inverse_square[:, :, None] + inverse_square[:, None]).sqrt()  # [R, E, E, D]
+def _mixture_moments(f: SquaredExponential, mean: Tensor, cov: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return mean [R, E], slope [R, D, E] and E f f' [R, E, E], with gradients with respect to everything."""
+    (centres, weights), root, outputs = f.terms, f.roots, f.weights.shape[1]
     inverse, log_det = _SPDInverse.apply(_system(cov, root))
-    identity = torch.eye(cov.shape[-1], dtype=cov.dtype, device=cov.device)
-    gain = (identity - inverse) / (root[..., :, None] * root[..., None, :])  # (I + cov root^2)^-1 cov
-    left = scaled[:, :, None] @ gain  # [R, E, E, N, D]
-    own = log_height[:, :, None] + (left * scaled[:, :, None]).sum(-1) / 2 - log_det[..., None] / 4
-    exponent = left @ scaled[:, None].mT + own[..., :, None] + own.transpose(1, 2)[..., None, :]
-    return ((f.weights[:, :, None, None] @ exponent.exp()) @ f.weights[:, None, ..., None])[..., 0, 0]
+    z = centres - (mean[:, None] * root)[..., None, :]  # [R, E + P, K, D], in length-scales
+    pull = z @ inverse
+    height = torch.exp((log_det[..., None] + (z * pull).sum(-1)) / -2) * weights
+    value = height.sum(-1)
+    slope = (height[:, :outputs, None] @ pull[:, :outputs])[..., 0, :] * root[:, :outputs]
+    return value[:, :outputs], slope.mT, value[:, outputs + _pair_numbers(outputs, mean.device)]
 
 
 class PosteriorMoments(torch.autograd.Function):
@@ -140,15 +155,13 @@ class PosteriorMoments(torch.autograd.Function):
     def forward(ctx: Any, mean: Tensor, cov: Tensor, f: SquaredExponential) -> tuple[Tensor, Tensor, Tensor]:
         """Return mean [R, E], slope [R, D, E], second moment [R, E, E]; keep what their gradients need."""
         outputs = f.weights.shape[1]
-        first, second = _pairs(outputs, mean.device)
-        own = f.inverse_square
-        total = torch.cat((own, own[:, first] + own[:, second]), 1)  # [R, E + P, D]
-        root = total.sqrt()
+        first, second = f._pairs
+        total, root = f.inverse_squares, f.roots
         inverse, log_det = _spd_inverse(_system(cov, root))
         shrink = inverse / root[..., :, None] * root[..., None, :]  # (I + cov total)^-1
         z = f.centres - mean[:, None]
 
-        metric = shrink[:, :outputs].mT * own[..., None, :]  # (cov + squared length-scales)^-1
+        metric = shrink[:, :outputs].mT * total[:, :outputs, None]  # (cov + squared length-scales)^-1
         pull = z[:, None] @ metric  # [R, E, N, D]
         exponent = 2 * f.log_signal_std - log_det[:, :outputs] / 2
         height = torch.exp(exponent[..., None] - (pull * z[:, None]).sum(-1) / 2) * f.weights
@@ -183,9 +196,9 @@ def _pair_sums(
     f: SquaredExponential, z: Tensor, cov: Tensor, total: Tensor, shrink: Tensor, log_det: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return sum W [R, P] per pair of outputs and its gradients in mean [R, P, D] and covariance [R, P, D, D]."""
-    first, second = _pairs(f.weights.shape[1], z.device)
-    li, lj = f.inverse_square[:, first], f.inverse_square[:, second]
-    scaled = z[:, None] * f.inverse_square[..., None, :]  # [R, E, N, D]
+    inverse_square, (first, second) = f.inverse_squares[:, : f.weights.shape[1]], f._pairs
+    li, lj = inverse_square[:, first], inverse_square[:, second]
+    scaled = z[:, None] * inverse_square[..., None, :]  # [R, E, N, D]
     log_height = 2 * f.log_signal_std[..., None] - (scaled * z[:, None]).sum(-1) / 2
     left, right, gain = scaled[:, first], scaled[:, second], shrink @ cov[:, None]
     bent = left @ gain
@@ -199,7 +212,8 @@ def _pair_sums(
 
     product, over_n = torch.empty_like(basis), torch.empty_like(basis[..., 0])
     curvature = f.curvature.flatten(0, 1)
-    for block in _blocks(*product.shape[:2]):
+    count, size = over_n.shape
+    for block in _blocks(count, size, z.device):
         w = torch.bmm(row[block], column[block]).exp_().mul_(curvature[block])
         torch.bmm(w, basis[block], out=product[block])
         torch.sum(w, -2, out=over_n[block])
@@ -243,7 +257,9 @@ def nan_cholesky(matrix: Tensor) -> Tensor:
 
 def _spd_inverse(matrix: Tensor) -> tuple[Tensor, Tensor]:
     factor = nan_cholesky(matrix)
-    return torch.cholesky_inverse(factor), 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    identity = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
+    root = torch.linalg.solve_triangular(factor, identity, upper=False)
+    return root.mT @ root, 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 
 def _system(cov: Tensor, root: Tensor) -> Tensor:
@@ -259,7 +275,16 @@ def _pairs(outputs: int, device: torch.device) -> tuple[Tensor, Tensor]:
     return first, second
 
 
-def _blocks(count: int, size: int) -> list[slice]:
-    """Cut ``count`` square arrays of edge ``size`` into slices that stay in the processor's cache."""
-    width = max(1, BLOCK // size**2)
+@cache
+def _pair_numbers(outputs: int, device: torch.device) -> Tensor:
+    """Return the number of each pair of outputs in the list of those i <= j, in either order [E, E]."""
+    first, second = _pairs(outputs, device)
+    numbers = first.new_empty(outputs, outputs)
+    numbers[first, second] = numbers[second, first] = torch.arange(len(first), device=device)
+    return numbers
+
+
+def _blocks(count: int, size: int, device: torch.device) -> list[slice]:
+    """Cut ``count`` square arrays of edge ``size`` into slices of at most ``BLOCK`` numbers."""
+    width = max(1, BLOCK[device.type] // size**2)
     return [slice(i, min(i + width, count)) for i in range(0, count, width)]
