@@ -161,8 +161,8 @@ def test_a_controller_that_is_lost_is_redrawn_and_counted():
 
 def test_units_cut_seeds_into_batches():
     units = experiment.units("deep-pilco-ours", range(100, 125))
-    assert [len(unit.seeds) for unit in units] == [10, 10, 5]
-    assert units[0].label == "data_efficiency/deep-pilco-ours/100-109"
+    assert [len(unit.seeds) for unit in units] == [20, 5]
+    assert units[0].label == "data_efficiency/deep-pilco-ours/100-119"
     assert units[0].config == experiment.OURS
 
 
