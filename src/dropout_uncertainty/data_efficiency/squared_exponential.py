@@ -154,9 +154,7 @@ class PosteriorMoments(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, mean: Tensor, cov: Tensor, f: SquaredExponential) -> tuple[Tensor, Tensor, Tensor]:
         """Return mean [R, E], slope [R, D, E], second moment [R, E, E]; keep what their gradients need."""
-        outputs = f.weights.shape[1]
-        first, second = f._pairs
-        total, root = f.inverse_squares, f.roots
+        total, root, outputs = f.inverse_squares, f.roots, f.weights.shape[1]
         inverse, log_det = _spd_inverse(_system(cov, root))
         shrink = inverse / root[..., :, None] * root[..., None, :]  # (I + cov total)^-1
         z = f.centres - mean[:, None]
@@ -170,9 +168,7 @@ class PosteriorMoments(torch.autograd.Function):
 
         value, d_mean, d_cov = _pair_sums(f, z, cov, total[:, outputs:], shrink[:, outputs:], log_det[:, outputs:])
         ctx.save_for_backward(d_mean, d_cov, slope, bend, pull, height, metric)
-        square = mean.new_zeros(*f.weights.shape[:2], outputs)
-        square[:, first, second] = value
-        square[:, second, first] = value
+        square = value[:, _pair_numbers(outputs, mean.device)]
         square.diagonal(dim1=-2, dim2=-1).add_(torch.exp(2 * f.log_signal_std))
         return height.sum(-1), slope.mT, square
 
