@@ -132,13 +132,13 @@ def _advance(process: Process, seconds: float, label: str, progress: bool) -> fl
 
 def _settled(recorded: np.ndarray, again: np.ndarray | None, process: Process) -> tuple[np.ndarray, np.ndarray] | None:
     """Return what can be compared of an array, None if that is nothing yet."""
-    if process.done == process.total:
-        return recorded, np.empty(0) if again is None else again
-    if again is None:  # may come with later steps, as inducing inputs do
-        return None
     axes = [axis for axis in range(1, recorded.ndim) if recorded.shape[axis] == process.total]
-    if not axes:
+    if process.done < process.total and not axes:
         return None
+    if again is None:
+        return recorded, np.empty(0)
+    if process.done == process.total:
+        return recorded, again
     part = (slice(None),) * axes[0] + (slice(process.done),)
     return recorded[part], again[part]
 

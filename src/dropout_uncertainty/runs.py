@@ -220,11 +220,12 @@ def _digest(unit: Unit) -> str:
 def _compute(unit: Unit, path: Path, partial: Path, progress: bool) -> Record:
     torch.backends.cudnn.deterministic = True  # the same bits each time, also on a GPU
     process = unit.start(unit.config, unit.seeds, device=unit.device, precision=unit.precision)
-    clock = {"wall_s": 0.0, "cpu_s": 0.0, "interruptions": 0}
+    clock = {"wall_s": 0.0, "cpu_s": 0.0, "interruptions": 0, "rounding": rounding(process)}
     saved = _load(partial)
     if saved is not None:
         process.restore(saved["state"])
-        clock = {**saved["clock"], "interruptions": saved["clock"]["interruptions"] + 1}
+        older = min(saved["clock"].get("rounding", 1), rounding(process))
+        clock = {**saved["clock"], "interruptions": saved["clock"]["interruptions"] + 1, "rounding": older}
     where = records.provenance(unit.device)
     with tqdm(total=process.total, initial=process.done, desc=unit.label, disable=not progress) as bar:
         last, saving = time.monotonic(), 0.0
@@ -240,7 +241,7 @@ def _compute(unit: Unit, path: Path, partial: Path, progress: bool) -> Record:
                 last = time.monotonic()
                 saving = last - begin
     timings: dict[str, Any] = getattr(process, "timings", dict)()
-    origin = {**where, **clock, **timings, "rounding": rounding(process)}
+    origin = {**where, **clock, **timings}
     header = {**unit.identity, "config": records.config_dict(unit.config), "provenance": origin}
     record = records.write(path, process.result(), header)
     partial.unlink(missing_ok=True)

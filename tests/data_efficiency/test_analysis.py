@@ -45,7 +45,7 @@ def write(folder, first, name="pilco-paper", **options):
     config = records.config_dict(CONFIGS[name])
     header = {
         "experiment": "data_efficiency", "name": name, "seeds": list(range(len(first))), "config": config,
-        "config_hash": records.config_hash(config),
+        "config_hash": records.config_hash(config), "device": "cpu",
         "provenance": {f"{part}_cpu_s": [6.0] * (TRIALS + 1) for part in ("model", "policy", "trial")},
     }  # fmt: skip
     arrays32 = {name: value.astype(np.float32) for name, value in arrays(first, **options).items()}
@@ -158,7 +158,7 @@ def write_deep(folder, config="deep-pilco-ours", **options):
     found = deep_arrays(**options)
     header = {
         "experiment": "data_efficiency", "name": config, "seeds": list(range(len(found["costs"]))),
-        "config": settings, "config_hash": records.config_hash(settings),
+        "config": settings, "config_hash": records.config_hash(settings), "device": "cpu",
         "provenance": {
             "model_cpu_s": [3000.0], "policy_cpu_s": [4000.0], "trial_cpu_s": [200.0], "processor": "a processor",
         },

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from dropout_uncertainty.data_efficiency import squared_exponential
 from dropout_uncertainty.data_efficiency.cartpole import features
 from dropout_uncertainty.data_efficiency.controllers import squash, squash_moments
 from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, feature_moments, sines
@@ -139,7 +140,8 @@ def test_fused_second_moment_equals_the_plain_formula_and_has_its_gradient(monke
     inputs = (x.mean.clone().requires_grad_(), x.cov.clone().requires_grad_())
     assert torch.autograd.gradcheck(lambda m, s: posterior.moments(Gaussian(m, symmetric(s))), inputs)
     whole = PosteriorMoments.apply(*x, posterior)
-    monkeypatch.setattr("dropout_uncertainty.data_efficiency.squared_exponential.BLOCK", {"cpu": 600})
+    monkeypatch.setattr(squared_exponential, "BLOCK", {"cpu": 600})
+    assert len(squared_exponential._blocks(6, 23, torch.device("cpu"))) == 6
     for got, expected in zip(PosteriorMoments.apply(*x, posterior), whole, strict=True):
         torch.testing.assert_close(got, expected, rtol=1e-12, atol=1e-12)
 

@@ -406,32 +406,39 @@ def _share(interval: Interval) -> str | None:
 
 
 def time_table(learning: Learning, trials: Sequence[int]) -> tuple[list[str], list[list[object]]]:
-    """Return heads and cells: CPU seconds of a trial and repetition by part, mean over the units of the records."""
-    origins = [(record.header["provenance"], len(record.seeds)) for record in learning.records]
+    """Return heads and cells: CPU seconds of a trial and repetition by part, mean over the records made on a CPU."""
+    origins = [(record.header["provenance"], len(record.seeds)) for record in _on_cpu(learning)]
     heads = ["trial", "transitions", *TIMED.values()]
     cells: list[list[object]] = []
-    for trial in (t for t in trials if t <= learning.trials):
+    for trial in (t for t in trials if origins and t <= learning.trials):
         seconds = [sum(o[f"{part}_cpu_s"][trial] for o, _ in origins) for part in TIMED]
         runs = sum(n for _, n in origins)
         cells.append([trial, trial * learning.plant.steps, *(f"{s / runs:.2f}" for s in seconds)])
     return heads, cells
 
 
+def _on_cpu(learning: Learning) -> list[Record]:
+    return [record for record in learning.records if record.header["device"] == "cpu"]
+
+
 def run_time_table(learnings: Sequence[Learning]) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells: what the trials of one repetition take, the thesis's hours beside our CPU hours.
 
-    Repetitions of a unit are computed together, so a repetition by itself would take longer than its share.
+    Of records that were made on a CPU. Repetitions of a unit are computed together, so a repetition by itself would
+    take longer than its share.
     """
     heads = ["", "thesis, 40 trials [h]", "trials", "ours [CPU h]", "side by side", "on"]
     cells: list[list[object]] = []
     for learning in learnings:
-        origins = [record.header["provenance"] for record in learning.records]
+        if not (found := _on_cpu(learning)):
+            continue
+        origins = [record.header["provenance"] for record in found]
         # by parts, since a run that goes on from a shorter one has only these of its first trials
         seconds = sum(sum(origin[f"{part}_cpu_s"]) for origin in origins for part in TIMED)
-        hours = seconds / 3600 / len(learning.seeds)
+        hours = seconds / 3600 / sum(len(record.seeds) for record in found)
         method = NAMES.get(learning.config, "pilco").split("/")[0]
         printed = thesis_value(f"figure-5.7/{method}/hours-40-trials")
-        together = sorted({len(record.seeds) for record in learning.records})
+        together = sorted({len(record.seeds) for record in found})
         on = ", ".join(dict.fromkeys(origin["processor"] for origin in origins))
         row = [learning.trials, f"{hours:.3f}", "-".join(map(str, together)), f"one core, {on}"]
         cells.append([learning.label, printed and f"{printed:g}", *row])

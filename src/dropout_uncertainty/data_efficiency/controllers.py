@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.cartpole import CartPole, features
-from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, Moments, linear_moments, sines
+from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, Moments, identity, linear_moments, sines
 from dropout_uncertainty.data_efficiency.squared_exponential import (
     SquaredExponential,
     nan_cholesky,
@@ -101,17 +101,17 @@ def squash(u: Float[Tensor, "*batch"], limit: float) -> Float[Tensor, "*batch"]:
 
 def squash_moments(u: Gaussian, limit: float | Tensor) -> Moments:
     """Return the moments of ``squash``, element by element, for a Gaussian u and one limit or one per element."""
-    _, spread, mix = _squash_constants(u.mean.shape[-1], u.mean.dtype, u.mean.device)
+    spread, mix = _squash_constants(u.mean.shape[-1], u.mean.dtype, u.mean.device)
     mean, cov, derivative = sines(u.mean @ spread, spread.mT @ u.cov @ spread)
     mix = limit * mix
     return Moments(mean @ mix, mix.mT @ cov @ mix, torch.diag_embed(derivative @ (spread.mT * mix)))
 
 
 @cache
-def _squash_constants(width: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the identity, the map from u to (u, 3u), and that from their sines to the squash."""
-    identity = torch.eye(width, dtype=dtype, device=device)
-    return identity, torch.cat((identity, 3 * identity), 1), torch.cat((9 * identity, identity)) / 8
+def _squash_constants(width: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Return the map from u to (u, 3u), and that from their sines to the squash."""
+    one = identity(width, dtype, device)
+    return torch.cat((one, 3 * one), 1), torch.cat((9 * one, one)) / 8
 
 
 def force(controller: Controller, plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
@@ -127,5 +127,5 @@ def force_moments(controller: Controller, limit: float | Tensor, x: Gaussian) ->
 
 
 def _jittered(u: Moments) -> Moments:
-    identity, _, _ = _squash_constants(u.mean.shape[-1], u.mean.dtype, u.mean.device)
-    return Moments(u.mean, u.cov + VARIANCE_JITTER * identity, u.slope)
+    jitter = VARIANCE_JITTER * identity(u.mean.shape[-1], u.mean.dtype, u.mean.device)
+    return Moments(u.mean, u.cov + jitter, u.slope)

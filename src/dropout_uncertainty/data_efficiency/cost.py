@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.cartpole import CartPole, tip
-from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, feature_moments
+from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, feature_moments, identity
+from dropout_uncertainty.data_efficiency.squared_exponential import spd_inverse
 
 # A trial is solved when the mean cost of its last second (`matlab`) or half second (`paper`) is below this.
 SOLVED_BELOW = 0.2
@@ -58,9 +59,9 @@ def saturating_moments(
 
 def _expected_exponential(offset: Tensor, cov: Tensor) -> tuple[Tensor, Tensor]:
     """Return E exp(-|y|^2 / 2) for y ~ N(offset, cov), and (I + cov)^-1 offset."""
-    system = torch.eye(offset.shape[-1], dtype=cov.dtype, device=cov.device) + cov
-    gain = torch.linalg.solve(system, offset[..., None])[..., 0]
-    return torch.exp(-(offset * gain).sum(-1) / 2) / torch.linalg.det(system).sqrt(), gain
+    inverse, log_det = spd_inverse(identity(offset.shape[-1], cov.dtype, cov.device) + cov)
+    gain = (inverse @ offset[..., None])[..., 0]
+    return torch.exp(((offset * gain).sum(-1) + log_det) / -2), gain
 
 
 def solved(plant: CartPole, costs: Float[Tensor, "*batch steps"]) -> Bool[Tensor, "*batch"]:

@@ -26,8 +26,6 @@ __all__ = [
 ]  # fmt: skip
 
 EXPERIMENT = "data_efficiency"
-#: Repetitions per unit, by device: what does not depend on the data (most of the time in the first trials) they share.
-GROUP = {"cpu": 20, "cuda": 40}
 
 
 @dataclass(frozen=True)
@@ -289,10 +287,11 @@ def start_longer(
 ) -> PilcoLearning:
     """Return the process of one unit that stands where records of the same learner with fewer trials end.
 
-    Without records of all its seeds it begins at the beginning; the result is the same.
+    Without records of all its seeds from the same device type it begins at the beginning; the result is the same, but
+    for rounding where they were made by an older version (`PilcoLearning.ROUNDING`).
     """
     process = start(config, seeds, device, precision)
-    shorter = [record for record in records.find(EXPERIMENT) if _is_shorter(record, config)]
+    shorter = [record for record in records.find(EXPERIMENT) if _is_shorter(record, config, device)]
     for trials in sorted({record.header["config"]["trials"] for record in shorter}, reverse=True):
         place = {
             seed: (record, row)
@@ -307,7 +306,9 @@ def start_longer(
     return process
 
 
-def _is_shorter(record: Record, config: PilcoConfig) -> bool:
+def _is_shorter(record: Record, config: PilcoConfig, device: str) -> bool:
+    if record.header["device"] != torch.device(device).type:
+        return False
     differing = [field for field, *_ in records.config_diff(record.header["config"], config)]
     return differing == ["trials"] and record.header["config"]["trials"] < config.trials
 
@@ -321,7 +322,7 @@ def _seconds(part: str, found: Sequence[Record]) -> list[float]:
 def units(
     name: str, seeds: Sequence[int] = tuple(range(40)), device: str = "cpu", precision: str | None = None
 ) -> list[Unit]:
-    """Return the work of a named config, PILCO's in batches of ``GROUP`` seeds; the default precision is the method's.
+    """Return the work of a named config, cut as Deep PILCO's is; the default precision is the method's.
 
     Raises:
         ValueError: if there is no config of that name.
@@ -330,7 +331,6 @@ def units(
         raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
     if name in deep_pilco_experiment.CONFIGS:
         return deep_pilco_experiment.units(name, seeds, device, precision or "float32")
-    size = GROUP[device]
-    groups = [tuple(seeds[i : i + size]) for i in range(0, len(seeds), size)]
+    groups = deep_pilco_experiment.groups(seeds, device)
     begin = start_longer if name in LONGER else start
     return [Unit(EXPERIMENT, name, begin, CONFIGS[name], group, device, precision or "float64") for group in groups]

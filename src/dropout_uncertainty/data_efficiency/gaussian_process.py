@@ -205,18 +205,24 @@ def robust_cholesky(matrix: Float[Tensor, "*batch N N"]) -> tuple[Float[Tensor, 
         ValueError: if a matrix is not positive definite even with the largest jitter.
     """
     scale = matrix.diagonal(dim1=-2, dim2=-1).mean(-1)
-    factor, info = torch.linalg.cholesky_ex(matrix)
-    repaired = bad = info > 0
+    factor, bad = _try_cholesky(matrix)
+    repaired = bad
     for jitter in JITTERS[1:]:
         if not bad.any():
             return factor, repaired
         bumped = matrix + torch.diag_embed((jitter * scale)[..., None].expand(matrix.shape[:-1]))
-        again, info = torch.linalg.cholesky_ex(bumped)
-        factor = torch.where((bad & (info == 0))[..., None, None], again, factor)
-        bad = bad & (info > 0)
+        again, still = _try_cholesky(bumped)
+        factor = torch.where((bad & ~still)[..., None, None], again, factor)
+        bad = bad & still
     if bad.any():
         raise ValueError("expected positive definite covariances; one is not, even with jitter (NaN in the data?)")
     return factor, repaired
+
+
+def _try_cholesky(matrix: Tensor) -> tuple[Tensor, Tensor]:
+    """Return Cholesky factors, and which matrices have none; on a GPU, NaN is to be seen in the factor only."""
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    return factor, (info > 0) | factor.diagonal(dim1=-2, dim2=-1).isnan().any(-1)
 
 
 def _gram(inputs: Tensor, log_hyper: Tensor) -> Tensor:

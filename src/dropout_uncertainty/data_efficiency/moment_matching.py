@@ -1,8 +1,8 @@
 """Gaussians through nonlinear functions: exact moments of sines and features, and how moments of a chain combine.
 
-Every function takes a ``Gaussian`` and returns ``Moments`` of its output: mean, covariance and *slope*, the
-expected Jacobian ``E[d output / d input]``. For a Gaussian input of covariance S the covariance of input and
-output is ``S @ slope`` (Stein's lemma), which holds for S = 0 too, and slopes of a chain of functions multiply.
+Functions take a ``Gaussian`` and return ``Moments`` of their output (``sines`` its parts): mean, covariance and
+*slope*, the expected Jacobian ``E[d output / d input]``. For a Gaussian input of covariance S the covariance of input
+and output is ``S @ slope`` (Stein's lemma), which holds for S = 0 too, and slopes of a chain of functions multiply.
 Leading axes are batch axes, replicas R first. Formulas: Deisenroth, Efficient Reinforcement Learning using
 Gaussian Processes (2010), section 2.3 and appendix A.
 """
@@ -48,8 +48,8 @@ def sines(mean: Float[Tensor, "... D"], cov: Float[Tensor, "... D D"]) -> tuple[
     decay = torch.exp(cov.diagonal(dim1=-2, dim2=-1) / -2)
     same = torch.expm1(cov) * (row - column).cos()
     opposite = torch.expm1(-cov) * (row + column).cos()
-    spread = (same - opposite) * (decay[..., :, None] * decay[..., None, :] / 2)
-    return decay * mean.sin(), spread, decay * mean.cos()
+    covariance = (same - opposite) * (decay[..., :, None] * decay[..., None, :] / 2)
+    return decay * mean.sin(), covariance, decay * mean.cos()
 
 
 def appended(x: Gaussian, y: Moments, kept: int) -> Moments:
@@ -57,8 +57,8 @@ def appended(x: Gaussian, y: Moments, kept: int) -> Moments:
     cross = x.cov[..., :kept, :] @ y.slope
     upper = torch.cat((x.cov[..., :kept, :kept], cross), -1)
     cov = torch.cat((upper, torch.cat((cross.mT, y.cov), -1)), -2)
-    identity = _identity(x.cov.shape[-1], x.cov.dtype, x.cov.device)[:, :kept]
-    slope = torch.cat((identity.expand(*x.cov.shape[:-1], kept), y.slope), -1)
+    unchanged = identity(x.cov.shape[-1], x.cov.dtype, x.cov.device)[:, :kept]
+    slope = torch.cat((unchanged.expand(*x.cov.shape[:-1], kept), y.slope), -1)
     return Moments(torch.cat((x.mean[..., :kept], y.mean), -1), cov, slope)
 
 
@@ -71,7 +71,8 @@ def feature_moments(state: Gaussian) -> Moments:
 
 
 @cache
-def _identity(dim: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+def identity(dim: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "D D"]:
+    """Return the identity matrix, made once."""
     return torch.eye(dim, dtype=dtype, device=device)
 
 

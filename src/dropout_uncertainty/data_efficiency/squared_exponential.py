@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, Moments
+from dropout_uncertainty.data_efficiency.moment_matching import Gaussian, Moments, identity
 
 # Numbers of a block of N x N arrays worked on at once: 1 MiB of float64, the second-level cache of a current core; on a
 # GPU few large blocks are faster than many small ones.
@@ -25,7 +25,7 @@ class SquaredExponential:
 
     Function e is ``s_e^2 sum_n weights[e, n] exp(-|(x - centre_n) / l_e|^2 / 2)``. With ``precision`` it is the
     posterior of a Gaussian process: ``k(x, x) - k(x, centres) precision_e k(centres, x)`` is its own uncertainty
-    at x.
+    at x. What is worked out once keeps its autograd graph, so every gradient needs functions of its own.
     """
 
     centres: Tensor  # [R, N, D]
@@ -68,10 +68,10 @@ class SquaredExponential:
         overlap = torch.exp(-((x - y) ** 2 * left * right / total[:, :, None, None]).sum(-1) / 2)
         weights = torch.exp(2 * self.log_signal_std)[..., None] * self.weights
         products = weights[:, first, :, None] * weights[:, second, None] * overlap
-        zeros = (0, overlap.shape[-1] ** 2 - overlap.shape[-1])
+        padding = (0, overlap.shape[-1] ** 2 - overlap.shape[-1])
         alone = self.centres[:, None] * self.roots[:, :outputs, None]
-        centres = torch.cat((pad(alone, (0, 0, *zeros)), between.flatten(2, 3)), 1)
-        return centres, torch.cat((pad(weights, zeros), products.flatten(2)), 1)
+        centres = torch.cat((pad(alone, (0, 0, *padding)), between.flatten(2, 3)), 1)
+        return centres, torch.cat((pad(weights, padding), products.flatten(2)), 1)
 
     @cached_property
     def curvature(self) -> Tensor:
@@ -131,7 +131,7 @@ def squared_exponential(x: Tensor, y: Tensor, log_length_scales: Tensor, log_sig
 def _mixture_moments(f: SquaredExponential, mean: Tensor, cov: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return mean [R, E], slope [R, D, E] and E f f' [R, E, E], with gradients with respect to everything."""
     (centres, weights), root, outputs = f.terms, f.roots, f.weights.shape[1]
-    inverse, log_det = _SPDInverse.apply(_system(cov, root))
+    inverse, log_det = spd_inverse(_system(cov, root))
     z = centres - (mean[:, None] * root)[..., None, :]  # [R, E + P, K, D], in length-scales
     pull = z @ inverse
     height = torch.exp((log_det[..., None] + (z * pull).sum(-1)) / -2) * weights
@@ -225,13 +225,16 @@ def _pair_sums(
     return value, (linear[..., None, :] @ shrink)[..., 0, :], d_cov / 2
 
 
-class _SPDInverse(torch.autograd.Function):
-    """Inverse and log determinant of symmetric positive definite matrices; NaN for others.
+def spd_inverse(matrix: Float[Tensor, "*batch D D"]) -> tuple[Float[Tensor, "*batch D D"], Float[Tensor, "*batch"]]:
+    """Return inverse and log determinant of symmetric positive definite matrices, NaN for others; differentiable.
 
-    torch's own would solve the systems again in the backward pass, which costs most of the time for these
-    small ones.
+    torch's own would solve the systems again in the backward pass, which costs most of the time for small ones, and is
+    not defined for NaN on a GPU.
     """
+    return _SPDInverse.apply(matrix)
 
+
+class _SPDInverse(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, matrix: Tensor) -> tuple[Tensor, Tensor]:
         inverse, log_det = _spd_inverse(matrix)
@@ -253,15 +256,15 @@ def nan_cholesky(matrix: Tensor) -> Tensor:
 
 def _spd_inverse(matrix: Tensor) -> tuple[Tensor, Tensor]:
     factor = nan_cholesky(matrix)
-    identity = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
-    root = torch.linalg.solve_triangular(factor, identity, upper=False)
+    one = identity(matrix.shape[-1], matrix.dtype, matrix.device)
+    root = torch.linalg.solve_triangular(factor, one, upper=False)
     return root.mT @ root, 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 
 def _system(cov: Tensor, root: Tensor) -> Tensor:
     """Return I + diag(root) cov diag(root) [R, ..., D, D] for cov [R, D, D] and root [R, ..., D]."""
     cov = cov.reshape(len(cov), *(1,) * (root.ndim - 2), *cov.shape[1:])
-    return torch.eye(cov.shape[-1], dtype=cov.dtype, device=cov.device) + root[..., :, None] * cov * root[..., None, :]
+    return identity(cov.shape[-1], cov.dtype, cov.device) + root[..., :, None] * cov * root[..., None, :]
 
 
 @cache
