@@ -107,6 +107,13 @@ def test_settings_are_compared_where_a_row_has_been_run_in_more_than_one(tmp_pat
     assert (steps, repetitions) == ("> 98", 1)
 
 
+def test_the_chapter_says_what_searching_the_whole_pool_brings():
+    written, common = (load_rows(family) for family in ("as-written", "ours"))
+    later = {name: written[name].crossing().value - common[name].crossing().value for name in written}
+    assert len(written["dropout/bald"].seeds) == len(written["dropout/variation-ratios"].seeds) == 1
+    assert later["dropout/bald"] > later["dropout/variation-ratios"] > 0
+
+
 def test_weight_draws_are_held_against_the_scores_of_one_pass(tmp_path):
     heads, cells = against_deterministic(load_rows("ours", world(tmp_path, **{"dropout/bald": 3.2})))
     assert [line[0] for line in cells] == ["Dropout Max Entropy", "Dropout Variation Ratios", "Dropout BALD"]
