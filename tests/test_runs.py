@@ -58,7 +58,10 @@ def test_killed_at_any_moment_it_continues_to_the_same_arrays(tmp_path):
     assert record.header["checksum"] == expected
 
 
-def test_a_damaged_checkpoint_means_starting_again(tmp_path, every_step):
+@pytest.fixture
+def checkpoint(tmp_path, every_step):
+    """Return the path of the checkpoint of a run that stopped after ten steps."""
+
     class Stop(Exception):
         pass
 
@@ -76,7 +79,17 @@ def test_a_damaged_checkpoint_means_starting_again(tmp_path, every_step):
 
     with pytest.raises(Stop):
         runs.run_unit(replace(toy.unit(), start=stopping), tmp_path)
-    (checkpoint,) = (tmp_path / ".partial").glob("*.pt")
+    (path,) = (tmp_path / ".partial").glob("*.pt")
+    return path
+
+
+def test_a_run_begun_by_code_that_rounds_otherwise_says_so(tmp_path, checkpoint, monkeypatch):
+    monkeypatch.setattr(toy.RandomWalk, "ROUNDING", 2, raising=False)
+    assert runs.run_unit(toy.unit(), tmp_path).header["provenance"]["rounding"] == 1
+    assert runs.run_unit(toy.unit(), tmp_path / "other").header["provenance"]["rounding"] == 2
+
+
+def test_a_damaged_checkpoint_means_starting_again(tmp_path, checkpoint):
     checkpoint.write_bytes(checkpoint.read_bytes()[:-20])
     resumed = runs.run_unit(toy.unit(), tmp_path)
     assert resumed.header["checksum"] == runs.run_unit(toy.unit(), tmp_path / "other").header["checksum"]

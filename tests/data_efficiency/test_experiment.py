@@ -111,6 +111,7 @@ def test_a_longer_run_goes_on_from_the_records_of_shorter_ones(finished, tmp_pat
     assert alone == pytest.approx(seconds[1] / 2)
     assert experiment.start_longer(SHORT, (101, 102)).done == 0  # nothing is known of 102
     assert experiment.start_longer(replace(SHORT, basis=4), (100, 101)).done == 0
+    assert experiment.start_longer(SHORT, (100, 101), device="cuda").done == 0  # not from records of a CPU
 
 
 def test_a_repetition_alone_equals_the_same_among_others(finished):

@@ -64,7 +64,7 @@ class RBFController:
 
     @cached_property
     def functions(self) -> SquaredExponential:
-        """The preliminary output as functions whose moments are known."""
+        """The preliminary output as functions whose moments are known, made once."""
         log_height = torch.zeros_like(self.weights[..., 0])
         return SquaredExponential(self.centres, self.log_length_scales, log_height, self.weights)
 

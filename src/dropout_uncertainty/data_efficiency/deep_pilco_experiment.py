@@ -20,7 +20,7 @@ from dropout_uncertainty.runs import Unit, precision_dtype
 __all__ = ["AS_WRITTEN", "CONFIGS", "OURS", "SEARCH", "DeepPilcoConfig", "DeepPilcoLearning", "start", "units"]
 
 EXPERIMENT = "data_efficiency"
-#: Repetitions per unit, of PILCO too, by device: on a CPU the time per repetition hardly falls beyond.
+#: Repetitions per unit of section 5.4, by device: on a CPU the time per repetition hardly falls beyond.
 GROUP = {"cpu": 20, "cuda": 40}
 #: Trials whose controllers are kept, for the animations and figure 5.8.
 SHOWN = (1, 2, 3, 5, 10, 20, 26, 40)
@@ -350,6 +350,6 @@ def units(
 
 
 def groups(seeds: Sequence[int], device: str) -> list[tuple[int, ...]]:
-    """Return the seeds of each unit."""
+    """Cut seeds into those of each unit on a device, "cpu" or "cuda" (`GROUP`)."""
     size = GROUP[torch.device(device).type]
     return [tuple(seeds[i : i + size]) for i in range(0, len(seeds), size)]

@@ -11,7 +11,13 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from dropout_uncertainty.bayes import Masks
-from dropout_uncertainty.data_efficiency.deep_pilco_experiment import EXPERIMENT, OURS, DeepPilcoConfig, SearchRun
+from dropout_uncertainty.data_efficiency.deep_pilco_experiment import (
+    EXPERIMENT,
+    OURS,
+    DeepPilcoConfig,
+    SearchRun,
+    groups,
+)
 from dropout_uncertainty.data_efficiency.dropout_dynamics import DropoutDynamics
 from dropout_uncertainty.data_efficiency.mechanism import Mechanism, MechanismConfig
 from dropout_uncertainty.data_efficiency.scaling import Scaling, ScalingConfig
@@ -22,8 +28,6 @@ __all__ = ["CONFIGS", "FAMILY", "TRIALS", "VARIANTS", "Variant", "VariantConfig"
 FAMILY = "what-matters"
 #: Controlled trials of every variant: by then `OURS` has solved the task long ago on development seeds.
 TRIALS = 20
-#: Repetitions per unit.
-GROUP = 10
 
 
 @dataclass(frozen=True)
@@ -151,12 +155,11 @@ def start(
 def units(
     name: str, seeds: Sequence[int] = tuple(range(10)), device: str = "cpu", precision: str = "float32"
 ) -> list[Unit]:
-    """Return the work of a named config, in batches of ten seeds.
+    """Return the work of a named config, cut as that of Deep PILCO is.
 
     Raises:
         ValueError: if there is no config of that name.
     """
     if name not in CONFIGS:
         raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
-    groups = [tuple(seeds[i : i + GROUP]) for i in range(0, len(seeds), GROUP)]
-    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, precision) for group in groups]
+    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, precision) for group in groups(seeds, device)]
