@@ -3,6 +3,7 @@
 import io
 import json
 import zipfile
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -43,6 +44,31 @@ def test_what_is_written_comes_back(path, tmp_path):
     assert [r.path for r in records.find("toy", CONFIG, folder=tmp_path)] == [path]
     assert records.find("toy", {"rounds": 4}, folder=tmp_path) == []
     assert not list(tmp_path.rglob(".*")), "a temporary file was left"
+
+
+@dataclass(frozen=True)
+class Inner:
+    x: float = 1.0
+    late: str | None = field(default=None, metadata={"before": None})
+
+
+@dataclass(frozen=True)
+class Grown:
+    rounds: int = 3
+    drop: tuple[float, float] = (0.25, 0.5)
+    late: int = field(default=7, metadata={"before": 5})
+    inner: tuple[Inner, ...] = ()
+
+
+def test_a_config_may_grow_without_losing_its_records():
+    as_before = Grown(late=5, inner=(Inner(),))
+    assert records.config_dict(as_before) == {"rounds": 3, "drop": [0.25, 0.5], "inner": [{"x": 1.0}]}
+    assert records.config_hash(as_before) == records.config_hash({**CONFIG, "inner": [{"x": 1.0}]})
+    assert records.config_hash(Grown()) != records.config_hash(Grown(late=5))
+    assert records.config_hash(Grown(inner=(Inner(late="a"),))) != records.config_hash(Grown(inner=(Inner(),)))
+    assert records.config_diff(Grown(late=5), Grown()) == [("late", 5, 7)]
+    assert records.config_diff(CONFIG | {"inner": []}, Grown()) == [("late", 5, 7)], "a stored config and one of today"
+    assert records.config_diff(CONFIG | {"inner": []}, Grown(late=5)) == []
 
 
 def test_seeds_with_a_record_are_not_missing_whatever_their_unit(path, tmp_path):

@@ -18,7 +18,7 @@ import subprocess
 import tempfile
 import zipfile
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,8 @@ SCHEMA = 1
 HEADER = "header.json"
 #: What systems say on a disk without hard links.
 NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
+#: Equal to no value of a config.
+_NEVER = object()
 REQUIRED = {
     "schema": int, "experiment": str, "name": str, "seeds": list, "config": dict, "config_hash": str, "checksum": str,
     "provenance": dict,
@@ -82,9 +84,21 @@ def table(name: str) -> list[dict[str, str]]:
 
 
 def config_dict(config: Any) -> dict[str, Any]:
-    """Return a config dataclass (or mapping) as plain JSON data."""
-    plain = asdict(config) if is_dataclass(config) and not isinstance(config, type) else dict(config)
-    return json.loads(json.dumps(plain))
+    """Return a config dataclass (or mapping) as plain JSON data.
+
+    A field that was added after records had been published carries ``metadata={"before": value}`` and is left out
+    while it has that value, the one that the code knew before: those records keep their config and its hash.
+    """
+    return json.loads(json.dumps(_plain(config)))
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        kept = [f for f in fields(value) if getattr(value, f.name) != f.metadata.get("before", _NEVER)]
+        return {f.name: _plain(getattr(value, f.name)) for f in kept}
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def config_hash(config: Any) -> str:
@@ -94,8 +108,15 @@ def config_hash(config: Any) -> str:
 
 def config_diff(first: Any, second: Any) -> list[tuple[str, Any, Any]]:
     """Return (field, value in first, value in second) for every field in which two configs differ."""
-    one, two = config_dict(first), config_dict(second)
+    one, two = ({**_before(first), **_before(second), **config_dict(config)} for config in (first, second))
     return [(key, one.get(key), two.get(key)) for key in dict.fromkeys([*one, *two]) if one.get(key) != two.get(key)]
+
+
+def _before(config: Any) -> dict[str, Any]:
+    """Return the values at which later fields of a config are left out."""
+    if not is_dataclass(config) or isinstance(config, type):
+        return {}
+    return {f.name: _plain(f.metadata["before"]) for f in fields(config) if "before" in f.metadata}
 
 
 def checksum(arrays: Mapping[str, np.ndarray]) -> str:
