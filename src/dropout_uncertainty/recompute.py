@@ -16,7 +16,7 @@ from tqdm.auto import tqdm
 
 from dropout_uncertainty import records
 from dropout_uncertainty.records import Record
-from dropout_uncertainty.runs import Process, Unit, check_device, rounding
+from dropout_uncertainty.runs import Process, Unit, check_device, differing, rounding
 
 __all__ = ["Comparison", "choose", "recompute"]
 
@@ -85,9 +85,8 @@ def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: boo
     Raises:
         ValueError: if ``record`` is not that of the unit.
     """
-    differing = [key for key, value in unit.identity.items() if record.header.get(key) != value]
-    if differing:
-        raise ValueError(f"{record.label} is not the record of {unit.label}: other {', '.join(differing)}")
+    if other := differing(unit, record):
+        raise ValueError(f"{record.label} is not the record of {unit.label}: other {', '.join(other)}")
     device = check_device("auto") if unit.device == "cuda" else "cpu"
     origin = {"rounding": 1, **record.header["provenance"]}
     with _threads(origin.get("threads", 1)):

@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import pickle
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,8 +27,8 @@ from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.records import Record, RecordError
 
 __all__ = [
-    "Process", "RunError", "Unit", "check_device", "cluster", "precision_dtype", "processes", "rounding", "run",
-    "run_unit",
+    "Process", "RunError", "Sweep", "Unit", "check_device", "cluster", "differing", "precision_dtype", "processes",
+    "rounding", "run", "run_unit", "units",
 ]  # fmt: skip
 
 #: Seconds between checkpoints; a kill loses at most this much work and the step under way.
@@ -77,12 +77,21 @@ class Unit:
     seeds: tuple[int, ...]
     device: str = "cpu"
     precision: str = "float32"
+    published: str | None = None  # the section's own precision; None: that of the unit
+    memory: float = 0.0  # bytes at the height of the work, an estimate; 0: not known
+
+    def __post_init__(self) -> None:
+        if not self.seeds or len(set(self.seeds)) != len(self.seeds) or min(self.seeds) < 0:
+            raise RunError(f"a unit needs seeds that differ, none below 0: got {list(self.seeds)}")
 
     @property
     def label(self) -> str:
-        """Path of the unit's record below the records folder, without suffix."""
-        seeds = f"{self.seeds[0]:03d}" if len(self.seeds) == 1 else f"{self.seeds[0]:03d}-{self.seeds[-1]:03d}"
-        return f"{self.experiment}/{self.name}/{seeds}"
+        """Path of the unit's record below the records folder, without suffix; it shows all of its identity.
+
+        Of the precision and the device type only what is not the section's own and not a CPU (`records.file_name`).
+        """
+        other = self.precision if self.published not in (None, self.precision) else None
+        return f"{self.experiment}/{self.name}/{records.file_name(self.seeds, self.identity['device'], other)}"
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -97,10 +106,71 @@ class Unit:
         }
 
 
+@dataclass(frozen=True)
+class Sweep:
+    """Configs of an experiment whose seeds are cut into units in one way.
+
+    Attributes:
+        experiment: its name.
+        configs: by their names.
+        start: makes the process of a unit.
+        precisions: those that it can run in; the first is the section's own, that of the published records.
+        group: most seeds of a unit, by device type.
+        repetitions: seeds that are run where none are named: 0, 1, ...
+        memory: bytes that a repetition of a config takes at the height of the work, an estimate.
+    """
+
+    experiment: str
+    configs: Mapping[str, Any]
+    start: Callable[..., Process]
+    precisions: Sequence[str]
+    group: Mapping[str, int]
+    repetitions: int
+    memory: Callable[[Any], float]
+
+    def units(
+        self, name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+    ) -> list[Unit]:
+        """Return the units of a named config; raises RunError for a precision or device that it cannot run on."""
+        own, config = self.precisions[0], self.configs[name]
+        if (precision or own) not in self.precisions:
+            choices = " or ".join(self.precisions)
+            raise RunError(f"{self.experiment}/{name} runs in {choices}, got the precision {precision}")
+        seeds = range(self.repetitions) if seeds is None else seeds
+        kind = torch.device(device).type
+        if kind not in self.group:
+            raise RunError(f"{self.experiment}/{name} runs on {' or '.join(self.group)}, got the device {device}")
+        size = self.group[kind]
+        groups = [tuple(seeds[i : i + size]) for i in range(0, len(seeds), size)]
+        return [
+            Unit(self.experiment, name, self.start, config, group, device, precision or own, own,
+                 self.memory(config) * len(group))
+            for group in groups
+        ]  # fmt: skip
+
+
+def units(
+    sweeps: Iterable[Sweep],
+    name: str,
+    seeds: Sequence[int] | None = None,
+    device: str = "cpu",
+    precision: str | None = None,
+) -> list[Unit]:
+    """Return the work of the config of that name among some sweeps; by default in the section's own precision.
+
+    Raises:
+        RunError: if there is no config of that name, or it cannot run in that precision or on that device.
+    """
+    of = {config: sweep for sweep in sweeps for config in sweep.configs}
+    if name not in of:
+        raise RunError(f"unknown config {name!r}, choose one of {', '.join(of)}")
+    return of[name].units(name, seeds, device, precision)
+
+
 def precision_dtype(name: str) -> torch.dtype:
-    """Return the dtype of a precision; raises ValueError if it is not float64, float32 or bfloat16."""
+    """Return the dtype of a precision; raises RunError if it is not float64, float32 or bfloat16."""
     if name not in PRECISIONS:
-        raise ValueError(f"unknown precision {name!r}, choose one of {', '.join(PRECISIONS)}")
+        raise RunError(f"unknown precision {name!r}, choose one of {', '.join(PRECISIONS)}")
     return PRECISIONS[name]
 
 
@@ -111,6 +181,26 @@ def check_device(name: str) -> str:
     if name == "cuda" and not torch.cuda.is_available():
         raise RunError("device cuda was asked for, but PyTorch finds no CUDA GPU here: use --device cpu")
     return "cuda" if name != "cpu" and torch.cuda.is_available() else "cpu"
+
+
+def check_memory(unit: Unit) -> None:
+    """Raise RunError if a unit is estimated to take more memory than its device has left."""
+    free = free_memory(unit.device)
+    if free is not None and unit.memory > free:
+        raise RunError(
+            f"{unit.label} takes about {unit.memory / 1e9:.1f} GB of memory for {len(unit.seeds)} seeds, and "
+            f"{free / 1e9:.1f} GB are free: ask for fewer seeds at a time, or use fewer workers"
+        )
+
+
+def free_memory(device: str = "cpu") -> float | None:
+    """Return how many bytes a device type has left, None where the system does not say."""
+    if torch.device(device).type == "cuda":
+        return torch.cuda.mem_get_info()[0]
+    with contextlib.suppress(OSError, StopIteration):
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        return 1024.0 * int(next(line for line in lines if line.startswith("MemAvailable")).split()[1])
+    return None
 
 
 def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False) -> Record:
@@ -130,6 +220,7 @@ def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False) -> 
         with FileLock(partial.with_suffix(".lock"), timeout=0):
             if path.exists():
                 return _existing(path, unit)
+            check_memory(unit)
             return _compute(unit, path, partial, progress)
     except Timeout:
         raise RunError(f"another process is computing {unit.label}: wait for it, or stop it") from None
@@ -206,11 +297,18 @@ def _path(unit: Unit, folder: Path) -> Path:
 
 def _existing(path: Path, unit: Unit) -> Record:
     record = records.read(path)
-    if record.header["config_hash"] != records.config_hash(unit.config):
+    if other := differing(unit, record):
         raise RunError(
-            f"{path} was made with another config {unit.name!r}: move it away, or give your config a new name"
+            f"{path} was made with another {' and '.join(other)} than is asked for: "
+            "move it away, or give your config a new name"
         )
     return record
+
+
+def differing(unit: Unit, record: Record) -> list[str]:
+    """Return in what the identity of a unit differs from that of a record, in words."""
+    keys = [key for key, value in unit.identity.items() if record.header.get(key) != value]
+    return ["config" if key == "config_hash" else key for key in keys]
 
 
 def _digest(unit: Unit) -> str:

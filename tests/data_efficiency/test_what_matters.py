@@ -12,6 +12,7 @@ from dropout_uncertainty.data_efficiency import deep_pilco_experiment as experim
 from dropout_uncertainty.data_efficiency.cartpole import PAPER
 from dropout_uncertainty.data_efficiency.deep_pilco_experiment import OURS
 from dropout_uncertainty.data_efficiency.what_matters import BASE, CONFIGS, MECHANISM, VARIANTS
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.rng import generator
 
 #: The least work that goes through every part.
@@ -75,7 +76,7 @@ def test_the_command_line_knows_the_family():
         assert modules[name] is what_matters
         (unit,) = what_matters.units(name, range(10))
         assert unit.label == f"data_efficiency/{name}/000-009"
-    with pytest.raises(ValueError, match="unknown config 'what-matters/nothing'"):
+    with pytest.raises(UserError, match="unknown config 'what-matters/nothing'"):
         what_matters.units("what-matters/nothing")
 
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from dropout_uncertainty import records, runs
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration import agent, experiment, world
 from dropout_uncertainty.exploration.experiment import AS_DEMO, CONFIGS, WIDE, AgentConfig, Config, start
 
@@ -165,7 +166,7 @@ def test_bad_arguments_are_refused():
         start(SMALL, ())
     with pytest.raises(ValueError, match="seed"):
         start(SMALL, (-1,))
-    with pytest.raises(ValueError, match="unknown config"):
+    with pytest.raises(UserError, match="unknown config"):
         experiment.units("as-dreamt")
     with pytest.raises(ValueError, match="at least one agent"):
         world.World(np.zeros((1, 30, 3)), agents=0)

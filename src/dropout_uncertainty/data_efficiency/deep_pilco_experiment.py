@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dropout_uncertainty import rng
+from dropout_uncertainty import rng, runs
 from dropout_uncertainty.data_efficiency import cartpole, controllers, deep_pilco, particles
 from dropout_uncertainty.data_efficiency.cartpole import PAPER, CartPole, Rollout
 from dropout_uncertainty.data_efficiency.cost import cost, solved
 from dropout_uncertainty.data_efficiency.deep_pilco import Planning
 from dropout_uncertainty.data_efficiency.dropout_dynamics import DropoutDynamics
-from dropout_uncertainty.runs import Unit, precision_dtype
+from dropout_uncertainty.runs import Sweep, Unit, precision_dtype
 
 __all__ = ["AS_WRITTEN", "CONFIGS", "OURS", "SEARCH", "DeepPilcoConfig", "DeepPilcoLearning", "start", "units"]
 
@@ -335,21 +335,23 @@ def _dtype(precision: str) -> torch.dtype:
     return precision_dtype(precision)
 
 
+def memory(config: DeepPilcoConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes: a predicted trial of the particles and its gradient."""
+    wide = sum(config.hidden) + config.basis
+    return 8.0 * config.plant.steps * max(config.particles, PREDICTED) * wide * 8
+
+
+SWEEPS = [
+    Sweep(EXPERIMENT, configs, begin, ("float32", "float64"), GROUP, repetitions=40, memory=memory)
+    for configs, begin in (
+        ({name: config for name, config in CONFIGS.items() if name not in SEARCH}, start),
+        (SEARCH, start_search),
+    )
+]
+
+
 def units(
-    name: str, seeds: Sequence[int] = tuple(range(40)), device: str = "cpu", precision: str = "float32"
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
 ) -> list[Unit]:
-    """Return the work of a named config, in batches of ``GROUP`` seeds.
-
-    Raises:
-        ValueError: if there is no config of that name.
-    """
-    if name not in CONFIGS:
-        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
-    begin = start_search if name in SEARCH else start
-    return [Unit(EXPERIMENT, name, begin, CONFIGS[name], group, device, precision) for group in groups(seeds, device)]
-
-
-def groups(seeds: Sequence[int], device: str) -> list[tuple[int, ...]]:
-    """Cut seeds into those of each unit on a device, "cpu" or "cuda" (`GROUP`)."""
-    size = GROUP[torch.device(device).type]
-    return [tuple(seeds[i : i + size]) for i in range(0, len(seeds), size)]
+    """Return the units of a named config, as `runs.units` does."""
+    return runs.units(SWEEPS, name, seeds, device, precision)

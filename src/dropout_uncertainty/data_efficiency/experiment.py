@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
-from dropout_uncertainty import records, rng
+from dropout_uncertainty import records, rng, runs
 from dropout_uncertainty.data_efficiency import cartpole, controllers, deep_pilco_experiment, pilco
 from dropout_uncertainty.data_efficiency import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.cartpole import MATLAB, PAPER, CartPole
@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.cost import cost, solved
 from dropout_uncertainty.data_efficiency.deep_pilco_experiment import DeepPilcoConfig
 from dropout_uncertainty.data_efficiency.squared_exponential import SquaredExponential
 from dropout_uncertainty.records import Record
-from dropout_uncertainty.runs import Unit
+from dropout_uncertainty.runs import Sweep, Unit
 
 __all__ = [
     "CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer",
@@ -319,18 +319,27 @@ def _seconds(part: str, found: Sequence[Record]) -> list[float]:
     return np.sum(shares, 0).tolist()
 
 
-def units(
-    name: str, seeds: Sequence[int] = tuple(range(40)), device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the work of a named config, cut as Deep PILCO's is; the default precision is the method's.
+def memory(config: PilcoConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes: matrices between all data, of all pairs of outputs."""
+    data = config.trials * config.plant.steps
+    data = min(data, config.inducing) if config.inducing else data
+    return 8.0 * 10 * data**2 * 8
 
-    Raises:
-        ValueError: if there is no config of that name.
-    """
-    if name not in CONFIGS:
-        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
-    if name in deep_pilco_experiment.CONFIGS:
-        return deep_pilco_experiment.units(name, seeds, device, precision or "float32")
-    groups = deep_pilco_experiment.groups(seeds, device)
-    begin = start_longer if name in LONGER else start
-    return [Unit(EXPERIMENT, name, begin, CONFIGS[name], group, device, precision or "float64") for group in groups]
+
+SWEEPS = [
+    *(
+        Sweep(EXPERIMENT, configs, begin, ("float64",), deep_pilco_experiment.GROUP, repetitions=40, memory=memory)
+        for configs, begin in (
+            ({"pilco-paper": PILCO_PAPER, "pilco-matlab": PILCO_MATLAB}, start),
+            (LONGER, start_longer),
+        )
+    ),
+    *deep_pilco_experiment.SWEEPS,
+]
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `runs.units` does."""
+    return runs.units(SWEEPS, name, seeds, device, precision)

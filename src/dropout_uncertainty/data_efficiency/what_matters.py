@@ -10,18 +10,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+from dropout_uncertainty import runs
 from dropout_uncertainty.bayes import Masks
+from dropout_uncertainty.data_efficiency import deep_pilco_experiment
 from dropout_uncertainty.data_efficiency.deep_pilco_experiment import (
     EXPERIMENT,
     OURS,
     DeepPilcoConfig,
     SearchRun,
-    groups,
 )
 from dropout_uncertainty.data_efficiency.dropout_dynamics import DropoutDynamics
 from dropout_uncertainty.data_efficiency.mechanism import Mechanism, MechanismConfig
 from dropout_uncertainty.data_efficiency.scaling import Scaling, ScalingConfig
-from dropout_uncertainty.runs import Unit, precision_dtype
+from dropout_uncertainty.runs import Sweep, Unit, precision_dtype
 
 __all__ = ["CONFIGS", "FAMILY", "TRIALS", "VARIANTS", "Variant", "VariantConfig", "VariantRun", "start", "units"]
 
@@ -152,14 +153,25 @@ def start(
     return VariantRun(config, seeds, device, dtype)
 
 
-def units(
-    name: str, seeds: Sequence[int] = tuple(range(10)), device: str = "cpu", precision: str = "float32"
-) -> list[Unit]:
-    """Return the work of a named config, cut as that of Deep PILCO is.
+def memory(config: VariantConfig | MechanismConfig | ScalingConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes; sizes are timed one repetition after the other."""
+    if isinstance(config, ScalingConfig):
+        return 8.0 * 10 * max(config.pilco_sizes[0]) ** 2 * 8
+    return deep_pilco_experiment.memory(config)
 
-    Raises:
-        ValueError: if there is no config of that name.
-    """
-    if name not in CONFIGS:
-        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
-    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, precision) for group in groups(seeds, device)]
+
+#: Times are those of a CPU.
+SWEEPS = [
+    Sweep(EXPERIMENT, configs, start, ("float32", "float64"), group, repetitions=10, memory=memory)
+    for configs, group in (
+        ({name: config for name, config in CONFIGS.items() if config is not SCALING}, deep_pilco_experiment.GROUP),
+        ({f"{FAMILY}/scaling": SCALING}, {"cpu": deep_pilco_experiment.GROUP["cpu"]}),
+    )
+]
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `runs.units` does."""
+    return runs.units(SWEEPS, name, seeds, device, precision)
