@@ -16,13 +16,15 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from dropout_uncertainty import rng, runs
+from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS
 from dropout_uncertainty.active_learning.loop import acquire
 from dropout_uncertainty.active_learning.network import BayesianCNN
-from dropout_uncertainty.active_learning.pool import Pool, split
-from dropout_uncertainty.runs import Sweep, Unit, precision_dtype
+from dropout_uncertainty.active_learning.pools import Pool, split
+from dropout_uncertainty.runs import sweep
+from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = ["CONFIGS", "EXPERIMENT", "ROWS", "ActiveLearning", "CNNLearner", "Config", "start", "units"]
 
@@ -349,5 +351,5 @@ SWEEP = Sweep(
 def units(
     name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
 ) -> list[Unit]:
-    """Return the units of a named config, as `runs.units` does."""
-    return runs.units([SWEEP], name, seeds, device, precision)
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units([SWEEP], name, seeds, device, precision)

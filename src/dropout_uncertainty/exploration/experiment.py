@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from dropout_uncertainty import rng, runs
+from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import check_probability
-from dropout_uncertainty.exploration import world
 from dropout_uncertainty.exploration.agent import CHUNK, STATE_SIZE, Agent
+from dropout_uncertainty.exploration.foraging import world
+from dropout_uncertainty.exploration.foraging.world import Rules, World
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
-from dropout_uncertainty.exploration.world import Rules, World
-from dropout_uncertainty.runs import Sweep, Unit, precision_dtype
+from dropout_uncertainty.runs import sweep
+from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = [
     "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "WIDE", "AgentConfig", "Config", "Foraging", "start", "units",
@@ -319,5 +321,5 @@ SWEEP = Sweep(
 def units(
     name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
 ) -> list[Unit]:
-    """Return the units of a named config, as `runs.units` does."""
-    return runs.units([SWEEP], name, seeds, device, precision)
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units([SWEEP], name, seeds, device, precision)
