@@ -15,7 +15,7 @@ from torch import Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import Masks
-from dropout_uncertainty.exploration import world
+from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.exploration.policies import Chance, Policy
 from dropout_uncertainty.exploration.q_network import MaskStream, QNetwork, td_error
 from dropout_uncertainty.exploration.replay import ReplayMemory
