@@ -70,7 +70,7 @@ def _joint_entropies(
 
     ``joint`` holds the probabilities of outcomes of y₁ … y_k under each draw, ``weights`` what each outcome counts.
     """
-    draws, points, classes = probs.shape
+    draws, _, classes = probs.shape
     parts = []
     for part in probs.split(max(1, CHUNK // (joint.shape[1] * classes)), 1):
         both = joint.T @ part.flatten(1) / draws

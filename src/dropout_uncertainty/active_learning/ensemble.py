@@ -1,6 +1,7 @@
 """An ensemble as what scores the pool: the yardstick of the field for weight draws that cost one training."""
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -12,6 +13,15 @@ from dropout_uncertainty.active_learning.loop import Learner
 __all__ = ["Ensemble"]
 
 
+class Member(Learner, Protocol):
+    """A learner whose networks are a function of the round, and whose test error can be asked for."""
+
+    round: int
+
+    def test_error(self, draws: int = 0) -> Float[np.ndarray, " R"]:
+        """Return the test error in %."""
+
+
 class Ensemble:
     """Networks trained on the same points from different streams; one deterministic pass of each is a draw.
 
@@ -19,7 +29,7 @@ class Ensemble:
     than one network whatever points it was trained on.
     """
 
-    def __init__(self, members: Sequence[Learner]) -> None:
+    def __init__(self, members: Sequence[Member]) -> None:
         self.members = members
         self.round = -1
 

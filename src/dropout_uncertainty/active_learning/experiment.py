@@ -24,8 +24,8 @@ from dropout_uncertainty.active_learning.ensemble import Ensemble
 from dropout_uncertainty.active_learning.loop import acquire
 from dropout_uncertainty.active_learning.network import BayesianCNN
 from dropout_uncertainty.active_learning.noisy_pools import KINDS, NO_LABEL, Task, make_task
-from dropout_uncertainty.active_learning.pool import Pool, split
-from dropout_uncertainty.runs import Unit, precision_dtype
+from dropout_uncertainty.active_learning.pools import Pool, split
+from dropout_uncertainty.runs.execute import Unit, precision_dtype
 
 __all__ = ["CONFIGS", "EXPERIMENT", "ROWS", "ActiveLearning", "CNNLearner", "Config", "start", "units"]
 
@@ -179,8 +179,8 @@ SENSITIVITY: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 
 def _pool_config(base: Config, kind: str, row: str, **changes: Any) -> Config:
     approximation, _, acquisition = row.rpartition("/")
-    scored = {"approximation": approximation or "dropout", "acquisition": acquisition}
-    return replace(base, pool_kind=kind, **scored, **_KIND.get(kind, {}), **changes)
+    base = replace(base, approximation=approximation or "dropout", acquisition=acquisition)
+    return replace(base, pool_kind=kind, **_KIND.get(kind, {}), **changes)
 
 
 #: Named configs, "family/row".
@@ -436,8 +436,12 @@ def start(config: Config, seeds: Sequence[int], *, device: str = "cpu", precisio
     return ActiveLearning(config, seeds, device=device, precision=precision)
 
 
-def units(name: str, seeds: Sequence[int], *, device: str = "cpu", precision: str = "bfloat16") -> list[Unit]:
-    """Return the units of a named config: one per seed on a CPU, one of all seeds stacked on a GPU."""
+def units(name: str, seeds: Sequence[int], *, device: str = "cpu", precision: str | None = None) -> list[Unit]:
+    """Return the units of a named config: one per seed on a CPU, one of all seeds stacked on a GPU.
+
+    The default precision is that of the published records: float32 for the pools, bfloat16 for the tables.
+    """
+    precision = precision or ("float32" if name.startswith("pools") else "bfloat16")
     # What teaches nothing differs between replicas, and with it the size of their training sets.
     stack = device == "cuda" and CONFIGS[name].pool_kind != "irrelevant"
     groups = [tuple(seeds)] if stack else [(seed,) for seed in seeds]

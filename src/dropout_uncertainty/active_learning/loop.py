@@ -19,7 +19,7 @@ from torch import Generator, Tensor
 
 from dropout_uncertainty.active_learning.acquisition import Selection, score, select
 from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
-from dropout_uncertainty.active_learning.pool import Pool
+from dropout_uncertainty.active_learning.pools import Pool
 
 __all__ = ["Learner", "acquire"]
 

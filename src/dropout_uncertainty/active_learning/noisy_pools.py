@@ -1,7 +1,7 @@
 """Pools in which some images are not worth their label: *ambiguous*, *repeated* and *irrelevant* ones.
 
-Each kind changes what a pool of MNIST shows and what its labels say, as a function of one seed; the test set stays clean.
-All indices stay those of the training set, whatever image and label now stand there.
+Each kind changes what a pool of MNIST shows and what its labels say, as a function of one seed; the test set stays
+clean. All indices stay those of the training set, whatever image and label now stand there.
 
 - ``ambiguous``: a share of the pool's images are even blends of two training digits of different classes; which of the
   two classes the label names is decided by a fair coin. No number of labels makes such an image predictable.
@@ -19,7 +19,7 @@ from torch import Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning.mnist import Mnist
-from dropout_uncertainty.active_learning.pool import Split
+from dropout_uncertainty.active_learning.pools import Split
 
 __all__ = ["KINDS", "NO_LABEL", "Task", "make_task"]
 
