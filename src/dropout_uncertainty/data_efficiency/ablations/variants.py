@@ -30,7 +30,7 @@ TRIALS = 20
 
 @dataclass(frozen=True)
 class VariantConfig(DeepPilcoConfig):
-    """The learner of `deep_pilco_experiment` with one more choice."""
+    """The learner of `deep_pilco.learner` with one more choice."""
 
     doubt: bool = True
     """The controller is improved on draws of the weights. Otherwise on the mean network (weight scaling): a model that
