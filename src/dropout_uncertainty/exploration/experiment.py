@@ -18,7 +18,8 @@ from dropout_uncertainty.runs.execute import Unit, precision_dtype
 from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = [
-    "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "WIDE", "AgentConfig", "Config", "Foraging", "start", "units",
+    "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "TWO_BY_TWO", "WIDE", "AgentConfig", "Config", "Foraging",
+    "start", "units",
 ]  # fmt: skip
 
 #: Ticks per block, the unit in which results are kept: one point of the demo's plot.
@@ -39,6 +40,12 @@ class AgentConfig:
     """Behaviour policy, a key of ``POLICIES``."""
     drop: tuple[float, ...] = NO_DROPOUT
     """Drop probability before each weight layer: inputs, hidden 1, hidden 2."""
+    drop_acting: tuple[float, ...] | None = field(default=None, metadata={"before": None})
+    """Drop probabilities of the draws that are acted on; None: those of learning. Ours."""
+    hold: int = field(default=1, metadata={"before": 1})
+    """Ticks for which a draw is held in acting; the thesis takes a new one at every tick. Ours."""
+    draws_until: int | None = field(default=None, metadata={"before": None})
+    """Last tick at which a draw is acted on, later the mean weights; None: no end. Ours, after footnote 4."""
 
 
 #: The demo's Thompson agent has one dropout layer, behind the first hidden one (rl_demo.html), the text's has three.
@@ -144,11 +151,26 @@ WIDE = {
         ("wide-dropout", (200, 200), THOMPSON_OF_TEXT.drop),
     )
 }
+#: Is it exploration? Learning with and without dropout, by acting on a draw and on the mean weights (the four primary
+#: ones, first); draws no longer acted on in the second half; draws held for longer; and ε-greedy on the same seeds.
+TWO_BY_TWO = {
+    name: replace(OURS["thompson"], agents=(agent,))
+    for name, agent in (
+        ("dropout-draw", THOMPSON_OF_DEMO),
+        ("dropout-mean", AgentConfig("greedy", THOMPSON_OF_DEMO.drop)),
+        ("plain-draw", AgentConfig("thompson", drop_acting=THOMPSON_OF_DEMO.drop)),
+        ("plain-mean", AgentConfig("greedy")),
+        ("masks-off-late", replace(THOMPSON_OF_DEMO, draws_until=100_000)),
+        *((f"hold-{ticks}", replace(THOMPSON_OF_DEMO, hold=ticks)) for ticks in (10, 100, 1000)),
+        ("epsilon-greedy", AgentConfig("epsilon-greedy")),
+    )
+}
 PUBLISHED = {
     "as-demo": AS_DEMO,
     "as-written": AS_WRITTEN,
     **{f"ours-{name}": config for name, config in OURS.items()},
     **WIDE,
+    **{f"two-by-two/{name}": config for name, config in TWO_BY_TWO.items()},
 }
 
 
@@ -156,7 +178,8 @@ def shortened(config: Config) -> Config:
     """Return the version of a config for profile ``quick``."""
     if config.held_out_every:
         return replace(config, ticks=4_500, held_out_every=3)
-    return replace(config, ticks=15_000 if len(config.agents) > 1 else 9_000)
+    agents = tuple(replace(agent, draws_until=agent.draws_until and 6_000) for agent in config.agents)
+    return replace(config, agents=agents, ticks=15_000 if len(agents) > 1 else 9_000)
 
 
 CONFIGS: dict[str, Config] = PUBLISHED | {f"quick/{name}": shortened(config) for name, config in PUBLISHED.items()}
@@ -206,6 +229,7 @@ class Foraging:
         held_out = config.memory // (config.held_out_every - 1) if config.held_out_every else 0
         return Agent(
             make_policy(agent.policy, config), agent.drop, config.hidden, self.seeds, index=index,
+            drop_acting=agent.drop_acting, hold=agent.hold, draws_until=agent.draws_until,
             capacity=config.memory, learning_start=config.learning_start, batch=config.batch, discount=config.discount,
             rate=config.learning_rate, decay=config.l2_decay, held_out=held_out, dtype=dtype, device=device,
         )  # fmt: skip
