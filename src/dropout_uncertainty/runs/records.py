@@ -182,7 +182,7 @@ def provenance(device: str = "cpu") -> dict[str, Any]:
         "commit": _git("rev-parse", "HEAD"),
         "dirty": None if status is None else bool(status),
         "python": platform.python_version(),
-        "torch": torch.__version__,
+        "torch": str(torch.__version__),  # plain, so that a checkpoint can hold it
         "numpy": np.__version__,
         "scipy": scipy.__version__,
         "system": f"{platform.system()} {platform.machine()}",
