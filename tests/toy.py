@@ -47,8 +47,8 @@ def start(config, seeds, *, device="cpu", precision="float64"):
 CONFIGS = {"walk": Walk(), "long": Walk(steps=50)}
 
 
-def units(name, seeds, *, device="cpu"):
-    return [Unit("toy", name, start, CONFIGS[name], tuple(seeds), device)]
+def units(name, seeds, *, device="cpu", precision=None):
+    return [Unit("toy", name, start, CONFIGS[name], tuple(seeds), device, precision or "float32", "float32")]
 
 
 def unit(**config):

@@ -90,6 +90,52 @@ def test_a_run_begun_by_code_that_rounds_otherwise_says_so(tmp_path, checkpoint,
     assert execute.run_unit(toy.unit(), tmp_path / "other").header["provenance"]["rounding"] == 2
 
 
+def test_a_resumed_run_names_every_commit_it_ran_under(tmp_path, checkpoint, monkeypatch):
+    before = records.provenance()
+    monkeypatch.setattr(records, "provenance", lambda device="cpu": {**before, "commit": "f" * 40, "dirty": True})
+    origin = execute.run_unit(toy.unit(), tmp_path).header["provenance"]
+    assert [sitting["commit"] for sitting in origin["commits"]] == [before["commit"], "f" * 40]
+    assert (origin["commit"], origin["dirty"], origin["commits"][0]["dirty"]) == ("f" * 40, True, before["dirty"])
+    assert origin["commits"][0]["torch"] == before["torch"]
+    monkeypatch.undo()
+    alone = execute.run_unit(toy.unit(), tmp_path / "other").header
+    assert [sitting["commit"] for sitting in alone["provenance"]["commits"]] == [before["commit"]]
+    assert alone["parents"] == []
+
+
+def test_a_unit_that_shares_a_seed_or_a_name_gets_its_own_record(tmp_path):
+    units = [replace(toy.unit(), seeds=(100, 103)), replace(toy.unit(), seeds=(104, 105, 106, 107))]
+    units.append(replace(units[1], precision="float64", published="float32"))
+    found = execute.run(units, folder=tmp_path, progress=False)
+    assert [record.path.name for record in found] == ["100+103.npz", "104-107.npz", "104-107.float64.npz"]
+    assert [record.seeds for record in found] == [list(unit.seeds) for unit in units]
+    assert [record.header["precision"] for record in found] == ["float32", "float32", "float64"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [({"precision": "float64"}, "another precision than"), ({"config": toy.Walk(steps=41)}, "another config than")],
+)
+def test_the_whole_identity_is_compared(tmp_path, changes, message):
+    execute.run_unit(toy.unit(), tmp_path)
+    with pytest.raises(RunError, match=message):
+        execute.run_unit(replace(toy.unit(), **changes), tmp_path)
+
+
+@pytest.mark.parametrize("seeds", [(), (1, 1), (-1, 0)])
+def test_a_unit_needs_seeds_that_differ(seeds):
+    with pytest.raises(RunError, match="seeds that differ"):
+        replace(toy.unit(), seeds=seeds)
+
+
+def test_a_unit_that_does_not_fit_into_memory_is_refused_before_it_starts(tmp_path, monkeypatch):
+    monkeypatch.setattr(execute, "free_memory", lambda device: 2e9)
+    message = r"toy/walk/100-101 takes about 3\.0 GB of memory for 2 seeds, and 2\.0 GB are free: ask for fewer seeds"
+    with pytest.raises(RunError, match=message):
+        execute.run_unit(replace(toy.unit(), memory=3e9), tmp_path)
+    assert execute.run_unit(replace(toy.unit(), memory=1e9), tmp_path).seeds == [100, 101]
+
+
 def test_a_damaged_checkpoint_means_starting_again(tmp_path, checkpoint):
     checkpoint.write_bytes(checkpoint.read_bytes()[:-20])
     resumed = execute.run_unit(toy.unit(), tmp_path)

@@ -35,6 +35,8 @@ __all__ = [
 CHECKPOINT_SECONDS = 20.0
 #: Seconds to wait for a scheduler's answer.
 CONNECT_SECONDS = 5.0
+#: What the provenance says of the code of each sitting.
+CODE = ("commit", "dirty", "python", "torch", "numpy", "scipy")
 PRECISIONS = {"float64": torch.float64, "float32": torch.float32, "bfloat16": torch.bfloat16}
 
 
@@ -46,8 +48,10 @@ class RunError(UserError):
 class Process(Protocol):
     """The work of one unit, in steps.
 
-    A process may have ``timings()``, computing time by part for the provenance, and a number ``ROUNDING``, raised when
-    a change of the code alters the last digits of its results: older records are then recomputed within a tolerance.
+    A process may have ``timings()``, computing time by part for the provenance; a number ``ROUNDING``, raised when a
+    change of the code alters the last digits of its results: older records are then recomputed within a tolerance; and
+    ``inherit(folder)``, which lets it stand where records in a folder end and returns these, its parents, as
+    ``records.parent`` names them. Without that call it begins at the beginning, as it does to recompute a record.
     """
 
     total: int
@@ -160,7 +164,7 @@ def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False) -> 
             if path.exists():
                 return _existing(path, unit)
             check_memory(unit)
-            return _compute(unit, path, partial, progress)
+            return _compute(unit, folder, partial, progress)
     except Timeout:
         raise RunError(f"another process is computing {unit.label}: wait for it, or stop it") from None
     except OSError as error:
@@ -254,16 +258,22 @@ def _digest(unit: Unit) -> str:
     return hashlib.sha256(repr(sorted(unit.identity.items())).encode()).hexdigest()[:12]
 
 
-def _compute(unit: Unit, path: Path, partial: Path, progress: bool) -> Record:
+def _compute(unit: Unit, folder: Path, partial: Path, progress: bool) -> Record:
     torch.backends.cudnn.deterministic = True  # the same bits each time, also on a GPU
     process = unit.start(unit.config, unit.seeds, device=unit.device, precision=unit.precision)
-    clock = {"wall_s": 0.0, "cpu_s": 0.0, "interruptions": 0, "rounding": rounding(process)}
+    clock: dict[str, Any] = {"wall_s": 0.0, "cpu_s": 0.0, "interruptions": 0, "rounding": rounding(process)}
+    where = records.provenance(unit.device)
+    commits, parents = [], []
     saved = _load(partial)
     if saved is not None:
         process.restore(saved["state"])
         older = min(saved["clock"].get("rounding", 1), rounding(process))
         clock = {**saved["clock"], "interruptions": saved["clock"]["interruptions"] + 1, "rounding": older}
-    where = records.provenance(unit.device)
+        commits, parents = saved.get("commits", [{"commit": None}]), saved.get("parents", [])
+    elif hasattr(process, "inherit"):
+        parents = process.inherit(folder)
+        clock["rounding"] = min([clock["rounding"], *(one["rounding"] for one in parents)])
+    commits = _joined(commits, {key: where[key] for key in CODE})
     with tqdm(total=process.total, initial=process.done, desc=unit.label, disable=not progress) as bar:
         last, saving = time.monotonic(), 0.0
         while process.done < process.total:
@@ -274,15 +284,29 @@ def _compute(unit: Unit, path: Path, partial: Path, progress: bool) -> Record:
             begin = time.monotonic()
             # A large state is saved less often, so that saving takes a thirtieth of the time at most.
             if begin - last > max(CHECKPOINT_SECONDS, 30 * saving) and process.done < process.total:
-                _save(partial, {"state": process.state(), "clock": clock})
+                _save(partial, {"state": process.state(), "clock": clock, "commits": commits, "parents": parents})
                 last = time.monotonic()
                 saving = last - begin
     timings: dict[str, Any] = getattr(process, "timings", dict)()
-    origin = {**where, **clock, **timings}
-    header = {**unit.identity, "config": records.config_dict(unit.config), "provenance": origin}
-    record = records.write(path, process.result(), header)
+    # ``commit`` is that of the last sitting, ``commits`` what each sitting ran under
+    origin = {**where, **clock, **timings, "commits": commits, "dirty": _any_dirty(commits)}
+    if parents:
+        origin |= {f"whole_{key}": clock[key] + sum(one[key] for one in parents) for key in ("wall_s", "cpu_s")}
+    header = {**unit.identity, "config": records.config_dict(unit.config), "parents": parents, "provenance": origin}
+    record = records.write(_path(unit, folder), process.result(), header)
     partial.unlink(missing_ok=True)
     return record
+
+
+def _joined(commits: list[dict[str, Any]], last: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return what the sittings of a run ran under, in order; sittings alike that follow each other count once."""
+    return commits if commits[-1:] == [last] else [*commits, last]
+
+
+def _any_dirty(commits: Iterable[dict[str, Any]]) -> bool | None:
+    """Return whether a sitting ran with changes that were not committed; None if that is not known of all others."""
+    flags = [commit.get("dirty") for commit in commits]
+    return True if True in flags else None if None in flags else False
 
 
 def rounding(process: Process) -> int:

@@ -30,7 +30,7 @@ from dropout_uncertainty.errors import UserError
 
 __all__ = [
     "Record", "RecordError", "checksum", "config_dict", "config_diff", "config_hash", "file_name", "find",
-    "header_checksum", "missing_seeds", "provenance", "read", "root", "table", "verify", "write",
+    "header_checksum", "missing_seeds", "parent", "provenance", "read", "root", "table", "verify", "write",
 ]  # fmt: skip
 
 # of the repository, whatever folder the records of a run go to
@@ -182,7 +182,7 @@ def provenance(device: str = "cpu") -> dict[str, Any]:
         "commit": _git("rev-parse", "HEAD"),
         "dirty": None if status is None else bool(status),
         "python": platform.python_version(),
-        "torch": torch.__version__,
+        "torch": str(torch.__version__),  # plain, so that a checkpoint can hold it
         "numpy": np.__version__,
         "scipy": scipy.__version__,
         "system": f"{platform.system()} {platform.machine()}",
@@ -212,6 +212,18 @@ def _processor_family() -> str:
 
     known = [f"{key.removeprefix('cpu ')} {_cpuinfo()[key]}" for key in ("cpu family", "model") if key in _cpuinfo()]
     return ", ".join([*known, torch.backends.cpu.get_cpu_capability()])
+
+
+def parent(record: Record, seeds: Sequence[int]) -> dict[str, Any]:
+    """Return how a record is named in the header of one that goes on from ``seeds`` of it, with their cost.
+
+    That is their share of the record's own cost and of that of its parents.
+    """
+    origin = record.header["provenance"]
+    share = len(set(seeds) & set(record.seeds)) / len(record.seeds)
+    costs = {clock: share * origin.get(f"whole_{clock}", origin.get(clock, 0.0)) for clock in ("wall_s", "cpu_s")}
+    code = {"commit": origin.get("commit"), "rounding": origin.get("rounding", 1)}
+    return {"record": record.label, "checksum": record.header["checksum"], **code, **costs}
 
 
 def write(path: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> Record:

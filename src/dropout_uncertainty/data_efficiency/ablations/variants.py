@@ -153,7 +153,7 @@ def start(
 def memory(config: VariantConfig | MechanismConfig | ScalingConfig) -> float:
     """Return an estimate of the bytes that a repetition takes; sizes are timed one repetition after the other."""
     if isinstance(config, ScalingConfig):
-        return 8.0 * 10 * max(config.pilco_sizes[0]) ** 2 * 8
+        return 8.0 * 4 * max(config.pilco_sizes[0]) ** 2
     return learner.memory(config)
 
 
