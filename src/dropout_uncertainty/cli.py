@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dropout_uncertainty import stopping
 from dropout_uncertainty.errors import UserError
 
 if TYPE_CHECKING:  # PyTorch takes seconds to import, which `--help` need not wait for
@@ -244,6 +245,7 @@ def seed_list(text: str) -> list[int]:
     return list(dict.fromkeys(seeds))
 
 
+@stopping.one_sentence()
 def main() -> None:
     """Run the command line; a mistake of the caller is one sentence and exit status 2, without a traceback."""
     try:
