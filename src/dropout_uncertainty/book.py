@@ -14,7 +14,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -118,7 +119,8 @@ def _execute(name: str, profile: str) -> float:
     begin, worked = time.monotonic(), _cpu_seconds()
     try:
         with _peak_megabytes() as peak:
-            papermill.execute_notebook(
+            _aside(
+                papermill.execute_notebook,
                 str(source),
                 str(running),
                 parameters,
@@ -139,6 +141,33 @@ def _execute(name: str, profile: str) -> float:
     _note(profile, name, seconds=seconds, cpu_seconds=_cpu_seconds() - worked, megabytes=max(peak))
     print(f"{source} ran in profile {profile}: {_duration(seconds)}", flush=True)
     return seconds
+
+
+def _aside(function: Callable[..., Any], *arguments: Any, **options: Any) -> None:
+    """Call a function in another thread: in the main one papermill's libraries would answer signals in their way.
+
+    What the function has started ends with it, and also where this one is left by an exception.
+    """
+    import psutil
+
+    outcome: Future[None] = Future()
+
+    def call() -> None:
+        try:
+            outcome.set_result(function(*arguments, **options))
+        except Exception as error:
+            outcome.set_exception(error)
+
+    before = psutil.Process().children()
+    threading.Thread(target=call, daemon=True).start()
+    try:
+        outcome.result()
+    except BaseException:
+        for process in psutil.Process().children(recursive=True):
+            if process not in before:
+                with contextlib.suppress(psutil.Error):  # it has just ended
+                    process.kill()
+        raise
 
 
 def _note(profile: str, name: str, **took: float) -> None:
