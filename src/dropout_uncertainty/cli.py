@@ -19,7 +19,7 @@ from dropout_uncertainty import stopping
 from dropout_uncertainty.errors import UserError
 
 if TYPE_CHECKING:  # PyTorch takes seconds to import, which `--help` need not wait for
-    from dropout_uncertainty.runs import Unit
+    from dropout_uncertainty.runs.execute import Unit
 
 __all__ = ["EXPERIMENTS", "app", "main"]
 
@@ -27,11 +27,7 @@ __all__ = ["EXPERIMENTS", "app", "main"]
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "active_learning": ("dropout_uncertainty.active_learning.experiment",),
     "exploration": ("dropout_uncertainty.exploration.experiment",),
-    "data_efficiency": (
-        "dropout_uncertainty.data_efficiency.experiment",
-        "dropout_uncertainty.data_efficiency.deep_pilco_experiment",
-        "dropout_uncertainty.data_efficiency.what_matters",
-    ),
+    "data_efficiency": ("dropout_uncertainty.data_efficiency.configs",),
 }
 
 app = typer.Typer(
@@ -50,7 +46,7 @@ def book(
     skip_run: Annotated[bool, typer.Option(help="build from the notebooks as last run")] = False,
 ) -> None:
     """Run all notebooks and build the HTML book."""
-    from dropout_uncertainty.book import build
+    from dropout_uncertainty.page.book import build
 
     build(profile, run=not skip_run)
 
@@ -61,7 +57,7 @@ def notebooks(
     profile: Annotated[str, typer.Option(help="recorded, quick or full")] = "recorded",
 ) -> None:
     """Run notebooks without building the book."""
-    from dropout_uncertainty.book import run_notebooks
+    from dropout_uncertainty.page.book import run_notebooks
 
     run_notebooks(profile, names or None)
 
@@ -69,7 +65,7 @@ def notebooks(
 @app.command()
 def front() -> None:
     """Write the numbers in the README, and the pictures of README and first page, from the records."""
-    from dropout_uncertainty.front import write
+    from dropout_uncertainty.page.landing import write
 
     for line in write():
         typer.echo(line)
@@ -86,21 +82,21 @@ def run(
     scheduler: Annotated[str | None, typer.Option(help="of a Dask cluster to use, such as tcp://host:8786")] = None,
 ) -> None:
     """Compute the missing records of an experiment; a run that was stopped continues where it was."""
-    from dropout_uncertainty import records, runs
+    from dropout_uncertainty.runs import execute, records
 
     if scheduler is not None:
         if workers > 1:
             raise UserError("--workers are processes of this machine, --scheduler has workers of its own: choose one")
         device = known({"auto": "cpu"}.get(device, device), ("cpu", "cuda"), "device")  # of the cluster's workers
-    options: dict[str, Any] = {"device": runs.check_device(device) if scheduler is None else device}
+    options: dict[str, Any] = {"device": execute.check_device(device) if scheduler is None else device}
     if precision is not None:
-        runs.precision_dtype(precision)
+        execute.precision_dtype(precision)
         options["precision"] = precision
     experiment = known(experiment.replace("-", "_"), EXPERIMENTS, "experiment")
     modules = config_modules(experiment)
     names, numbers = config_names(config, modules), seed_list(seeds)
 
-    def missing(name: str) -> list[runs.Unit]:
+    def missing(name: str) -> list[execute.Unit]:
         left = records.missing_seeds(experiment, name, modules[name].CONFIGS[name], numbers)
         return modules[name].units(name, left, **options) if left else []
 
@@ -111,18 +107,18 @@ def run(
         typer.echo("Nothing to do: these repetitions have their records.")
     context: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
     if scheduler is not None:
-        context = runs.cluster(scheduler)
+        context = execute.cluster(scheduler)
     elif workers > 1:
-        context = runs.processes(workers)
+        context = execute.processes(workers)
     with context as executor:
-        for record in runs.run(units, executor=executor):
+        for record in execute.run(units, executor=executor):
             typer.echo(record.path)
 
 
 @record_commands.command("list")
 def list_records() -> None:
     """List the stored records with their seeds and computing times."""
-    from dropout_uncertainty import records
+    from dropout_uncertainty.runs import records
 
     for path, problem in records.verify():
         label = path.relative_to(records.root())
@@ -141,7 +137,7 @@ def verify_records(
     seconds: Annotated[float, typer.Option(help="CPU time for the first steps of each; 0: all its steps")] = 30.0,
 ) -> None:
     """Check every stored record against its checksum, schema and config hash; recompute a few and compare."""
-    from dropout_uncertainty import records
+    from dropout_uncertainty.runs import records
 
     found = records.verify()
     problems = [problem for _, problem in found if problem is not None]
@@ -157,7 +153,7 @@ def verify_records(
 
 def _recompute(found: list[Any], count: int, seed: int, seconds: float) -> bool:
     """Recompute some records of each section, print what comes out, and return whether one is not confirmed."""
-    from dropout_uncertainty.recompute import choose, recompute
+    from dropout_uncertainty.runs.recompute import choose, recompute
 
     failed = False
     typer.echo(f"recomputing {count} of the records of each section, drawn with seed {seed}")
@@ -172,7 +168,7 @@ def _recompute(found: list[Any], count: int, seed: int, seconds: float) -> bool:
 @app.command()
 def results(as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False) -> None:
     """Print every number of the book beside the thesis's, with its interval and verdict."""
-    from dropout_uncertainty.claims import collect
+    from dropout_uncertainty.judging.collect import collect
 
     found = collect()
     if as_json:
@@ -206,7 +202,7 @@ def recorded_unit(header: Mapping[str, Any]) -> "Unit":
     Raises:
         UserError: if the code has no such config any more, or another one of that name.
     """
-    from dropout_uncertainty import records
+    from dropout_uncertainty.runs import records
 
     where = f"{header['experiment']}/{header['name']}"
     modules = config_modules(header["experiment"])

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from dropout_uncertainty import records, runs
-from dropout_uncertainty.exploration import agent, experiment, world
+from dropout_uncertainty.exploration import agent, experiment
 from dropout_uncertainty.exploration.experiment import AS_DEMO, CONFIGS, WIDE, AgentConfig, Config, start
+from dropout_uncertainty.exploration.foraging import world
+from dropout_uncertainty.runs import execute, records
 
 #: Small and quick to learn, but with every feature of the published configs.
 SMALL = replace(
@@ -121,8 +122,8 @@ def test_learning_starts_at_the_tick_the_original_does():
 
 
 def test_a_run_reaches_its_record(tmp_path):
-    unit = runs.Unit("exploration", "small", start, SMALL, (100, 101))
-    record = runs.run_unit(unit, folder=tmp_path)
+    unit = execute.Unit("exploration", "small", start, SMALL, (100, 101))
+    record = execute.run_unit(unit, folder=tmp_path)
     assert record.arrays["average_reward"].shape == (2, 2, 3)
     assert record.header["config"]["agents"][0] == {"policy": "thompson", "drop": [0.0, 0.2, 0.0]}
 

@@ -21,8 +21,8 @@ from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS
 from dropout_uncertainty.active_learning.loop import acquire
 from dropout_uncertainty.active_learning.network import BayesianCNN
-from dropout_uncertainty.active_learning.pool import Pool, split
-from dropout_uncertainty.runs import Unit, precision_dtype
+from dropout_uncertainty.active_learning.pools import Pool, split
+from dropout_uncertainty.runs.execute import Unit, precision_dtype
 
 __all__ = ["CONFIGS", "EXPERIMENT", "ROWS", "ActiveLearning", "CNNLearner", "Config", "start", "units"]
 

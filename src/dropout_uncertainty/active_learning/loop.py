@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from torch import Generator, Tensor
 
 from dropout_uncertainty.active_learning.acquisition import Selection, score, select
-from dropout_uncertainty.active_learning.pool import Pool
+from dropout_uncertainty.active_learning.pools import Pool
 
 __all__ = ["Learner", "acquire"]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.exploration import world
+from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.exploration.policies import Chance, Policy
 from dropout_uncertainty.exploration.q_network import MaskStream, QNetwork, td_error
 from dropout_uncertainty.exploration.replay import ReplayMemory

@@ -9,11 +9,11 @@ import torch
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import check_probability
-from dropout_uncertainty.exploration import world
 from dropout_uncertainty.exploration.agent import CHUNK, Agent
+from dropout_uncertainty.exploration.foraging import world
+from dropout_uncertainty.exploration.foraging.world import Rules, World
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
-from dropout_uncertainty.exploration.world import Rules, World
-from dropout_uncertainty.runs import Unit, precision_dtype
+from dropout_uncertainty.runs.execute import Unit, precision_dtype
 
 __all__ = [
     "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "WIDE", "AgentConfig", "Config", "Foraging", "start", "units",
