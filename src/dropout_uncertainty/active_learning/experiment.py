@@ -22,7 +22,9 @@ from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS
 from dropout_uncertainty.active_learning.loop import acquire
 from dropout_uncertainty.active_learning.network import BayesianCNN
 from dropout_uncertainty.active_learning.pools import Pool, split
+from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = ["CONFIGS", "EXPERIMENT", "ROWS", "ActiveLearning", "CNNLearner", "Config", "start", "units"]
 
@@ -330,7 +332,24 @@ def start(config: Config, seeds: Sequence[int], *, device: str = "cpu", precisio
     return ActiveLearning(config, seeds, device=device, precision=precision)
 
 
-def units(name: str, seeds: Sequence[int], *, device: str = "cpu", precision: str = "bfloat16") -> list[Unit]:
-    """Return the units of a named config: one per seed on a CPU, one of all seeds stacked on a GPU."""
-    groups = [tuple(seeds)] if device == "cuda" else [(seed,) for seed in seeds]
-    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, precision) for group in groups]
+def memory(config: Config) -> float:
+    """Return an estimate of the bytes that a repetition takes: features and predictions of the candidates it scores."""
+    side = (30 - 2 * config.kernel) // 2  # behind two convolutions and the pooling
+    features, activations = 32 * side**2, 32 * 2 * 28**2
+    pool = 54_980 if config.pool is None else config.pool
+    candidates = 0 if config.acquisition == "random" else min(config.subset or pool, pool)
+    scored = candidates * (2 * features + 3 * 10 * config.draws)
+    return 4.0 * (scored + EVALUATION_BATCH * (activations + features) + 5 * 128 * features)
+
+
+#: One seed per unit on a CPU, which one replica keeps busy; on a GPU they are stacked.
+SWEEP = Sweep(
+    EXPERIMENT, CONFIGS, start, ("bfloat16", "float32", "float64"), {"cpu": 1, "cuda": 10}, repetitions=5, memory=memory
+)
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units([SWEEP], name, seeds, device, precision)
