@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dropout_uncertainty.errors import UserError
 
-__all__ = ["DATA", "RECORDS", "checkout", "existing", "named", "resolve"]
+__all__ = ["DATA", "RECORDS", "checkout", "create", "existing", "named", "resolve"]
 
 RECORDS, DATA = "DROPOUT_UNCERTAINTY_RECORDS", "DROPOUT_UNCERTAINTY_DATA"
 
@@ -39,3 +39,11 @@ def existing(folder: Path, variable: str, what: str) -> Path:
         source = "as named by" if named(variable) == folder else "a clone of the repository has them; name theirs with"
         raise UserError(f"there is no folder {folder} of {what} ({source} {variable})")
     return folder
+
+
+def create(folder: Path) -> None:
+    """Make sure that there is a folder; raises UserError if it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {folder}: {error.strerror or error}") from None

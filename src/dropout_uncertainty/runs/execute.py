@@ -265,7 +265,7 @@ def cluster(address: str) -> Iterator[Executor]:
     try:
         import distributed
     except ImportError:
-        raise RunError("a Dask cluster needs the extra cluster: `pip install -e '.[cluster]'`") from None
+        raise RunError("a Dask cluster needs the package distributed: `pip install 'distributed>=2024.8'`") from None
     try:
         distributed.comm.get_address_host_port(address)  # a client that cannot even begin complains when it is deleted
         client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
