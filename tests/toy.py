@@ -55,5 +55,15 @@ def unit(**config):
     return Unit("toy", "walk", start, Walk(**config), (100, 101))
 
 
+def one_by_one(name, seeds, *, device="cpu"):
+    """Return a unit for each seed, with a checkpoint after every step wherever it is computed."""
+    return [Unit("toy", name, start_often, CONFIGS[name], (seed,), device) for seed in seeds]
+
+
+def start_often(config, seeds, **options):
+    checkpoint_often()
+    return start(config, seeds, **options)
+
+
 def checkpoint_often():
     execute.CHECKPOINT_SECONDS = -1.0

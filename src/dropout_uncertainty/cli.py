@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dropout_uncertainty import __version__, folders, stopping
 from dropout_uncertainty.errors import UserError
 
 if TYPE_CHECKING:  # PyTorch takes seconds to import, which `--help` need not wait for
@@ -32,13 +33,26 @@ EXPERIMENTS: dict[str, tuple[str, ...]] = {
 MOST_SEEDS = 100_000
 
 app = typer.Typer(
-    help="Dropout uncertainty in action: make the book, run the experiments, look at the records.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 record_commands = typer.Typer(help="List and verify the stored records.", no_args_is_help=True)
 app.add_typer(record_commands, name="records")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="print it")
+    ] = False,
+) -> None:
+    """Dropout uncertainty in action: make the book, run the experiments, look at the records."""
 
 
 @app.command()
@@ -85,6 +99,7 @@ def run(
     """Compute the missing records of an experiment; a run that was stopped continues where it was."""
     from dropout_uncertainty.runs import execute, records
 
+    folders.create(records.root())
     any_device = device == "auto"
     if scheduler is not None:
         if workers > 1:
@@ -144,6 +159,8 @@ def verify_records(
     from dropout_uncertainty.runs import records
 
     found = records.verify()
+    if not found:
+        raise UserError(f"there are no records below {records.root()}")
     problems = [problem for _, problem in found if problem is not None]
     for problem in problems:
         typer.echo(problem, err=True)
@@ -251,6 +268,7 @@ def seed_list(text: str) -> list[int]:
     return list(dict.fromkeys(seeds))
 
 
+@stopping.one_sentence()
 def main() -> None:
     """Run the command line; a mistake of the caller is one sentence and exit status 2, without a traceback."""
     try:

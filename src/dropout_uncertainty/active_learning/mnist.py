@@ -2,7 +2,6 @@
 
 import gzip
 import hashlib
-import os
 import zlib
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,6 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
 
 __all__ = ["DataError", "Mnist", "data_folder", "load"]
@@ -42,8 +42,7 @@ class Mnist:
 
 def data_folder() -> Path:
     """Return the folder of the data: ``DROPOUT_UNCERTAINTY_DATA`` if set, else ``data/mnist`` of the repository."""
-    default = Path(__file__).resolve().parents[3] / "data" / "mnist"
-    return Path(os.environ.get("DROPOUT_UNCERTAINTY_DATA") or default)
+    return folders.named(folders.DATA) or (folders.checkout() or Path.cwd()) / "data" / "mnist"
 
 
 def read_idx(path: Path) -> np.ndarray:
@@ -53,7 +52,8 @@ def read_idx(path: Path) -> np.ndarray:
         DataError: if the file is missing, truncated or not the one that ``FILES`` names.
     """
     checksum, shape = FILES[path.name.removesuffix(".gz")]
-    remedy = "restore it with `git checkout data/mnist`, or point DROPOUT_UNCERTAINTY_DATA at a folder that has it"
+    restore = "restore it with `git checkout data/mnist`, or " if folders.checkout() else ""
+    remedy = f"{restore}name a folder that has it with {folders.DATA}"
     try:
         content = gzip.decompress(path.read_bytes())
     except FileNotFoundError:
@@ -79,4 +79,4 @@ def load(folder: Path | str | None = None) -> Mnist:
     Raises:
         DataError: if a file is missing, truncated or altered; the message says which and what to do.
     """
-    return _load(Path(folder) if folder is not None else data_folder())
+    return _load(folders.existing(Path(folder) if folder is not None else data_folder(), folders.DATA, "data"))

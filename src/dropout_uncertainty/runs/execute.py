@@ -10,9 +10,12 @@ import io
 import multiprocessing
 import os
 import pickle
+import signal
+import sys
+import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -37,6 +40,7 @@ CHECKPOINT_SECONDS = 20.0
 CONNECT_SECONDS = 5.0
 #: What the provenance says of the code of each sitting.
 CODE = ("commit", "dirty", "python", "torch", "numpy", "scipy")
+QUIET = "ignore::UserWarning:multiprocessing.resource_tracker"
 PRECISIONS = {"float64": torch.float64, "float32": torch.float32, "bfloat16": torch.bfloat16}
 
 
@@ -186,22 +190,70 @@ def run(
         return [run_unit(unit, folder, progress) for unit in units]
     here = folder or records.root()
     missing = [unit for unit in units if not _path(unit, here).exists()]
-    futures = {executor.submit(run_unit, unit, folder): unit for unit in missing}
     with tqdm(total=len(units), initial=len(units) - len(missing), unit="unit", disable=not progress) as bar:
-        for future in as_completed(futures):
-            record, path = future.result(), _path(futures[future], here)
+        for unit, record in _completed(executor, missing, folder):
+            path = _path(unit, here)
             if not path.exists():  # computed on a machine that does not share our disk
                 records.write(path, record.arrays, record.header)
-            bar.set_postfix_str(futures[future].label)
+            bar.set_postfix_str(unit.label)
             bar.update()
     return [run_unit(unit, folder) for unit in units]
 
 
+def _completed(executor: Executor, units: Sequence[Unit], folder: Path | None) -> Iterator[tuple[Unit, Record]]:
+    """Give units with their records as they are finished; if one fails, or this is left, the others are cancelled."""
+    futures: dict[Future, Unit] = {}
+    try:
+        for unit in units:
+            futures[executor.submit(run_unit, unit, folder)] = unit
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+    except BrokenExecutor:
+        raise RunError("a worker process died; is the memory enough? The same command continues") from None
+    finally:
+        for future in futures:
+            future.cancel()
+
+
 def processes(workers: int | None = None) -> ProcessPoolExecutor:
-    """Return an executor of single-threaded processes, by default one per core; use it as a context."""
+    """Return an executor of single-threaded processes, by default one per core; use it as a context.
+
+    An exception that leaves the context ends them at once, and so does the end of this process, whatever its cause.
+    """
+    # What a killed process leaves behind is put away by the tracker of the standard library, which need not say so.
+    if QUIET not in sys.warnoptions:
+        sys.warnoptions.append(QUIET)
     # Spawned, because a fork of a process that has started threads can hang.
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(workers or os.cpu_count(), context, initializer=torch.set_num_threads, initargs=(1,))
+    return _Processes(workers or os.cpu_count(), multiprocessing.get_context("spawn"), initializer=_become_worker)
+
+
+class _Processes(ProcessPoolExecutor):
+    def submit(self, *args: Any, **options: Any) -> Future:
+        # Ctrl-C reaches every process of a terminal but is this one's to answer; those started here inherit the mask.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(*args, **options)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            for worker in list((self._processes or {}).values()):  # Python 3.14 has kill_workers() for this
+                worker.kill()
+        self.shutdown(cancel_futures=kind is not None)
+
+
+def _become_worker() -> None:
+    """Make a process that has just been started compute on one thread, and end when its parent does."""
+    torch.set_num_threads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @contextlib.contextmanager
@@ -217,8 +269,9 @@ def cluster(address: str) -> Iterator[Executor]:
     try:
         import distributed
     except ImportError:
-        raise RunError("a Dask cluster needs the extra cluster: `pip install -e '.[cluster]'`") from None
+        raise RunError("a Dask cluster needs the package distributed: `pip install 'distributed>=2024.8'`") from None
     try:
+        distributed.comm.get_address_host_port(address)  # a client that cannot even begin complains when it is deleted
         client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise RunError(f"no Dask scheduler answers at {address}: is it running, and is the address right?") from error
@@ -277,6 +330,8 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool) -> Record:
     with tqdm(total=process.total, initial=process.done, desc=unit.label, disable=not progress) as bar:
         last, saving = time.monotonic(), 0.0
         while process.done < process.total:
+            if _unwanted():
+                raise CancelledError
             with _timed(clock):
                 status = process.advance()
             bar.set_postfix_str(status, refresh=False)
@@ -309,6 +364,19 @@ def _any_dirty(commits: Iterable[dict[str, Any]]) -> bool | None:
     return True if True in flags else None if None in flags else False
 
 
+def _unwanted() -> bool:
+    """Return whether this is a task of a Dask worker that was cancelled; its thread cannot be ended from outside."""
+    if "distributed" not in sys.modules:
+        return False
+    from distributed.worker import get_worker, thread_state
+
+    try:
+        task = get_worker().state.tasks.get(thread_state.key)
+    except (ValueError, AttributeError):  # not a worker, or a thread of its own
+        return False
+    return task is None or task.state == "cancelled"
+
+
 def rounding(process: Process) -> int:
     """Return the number of the process's way of rounding, 1 at first."""
     return getattr(process, "ROUNDING", 1)
@@ -335,10 +403,12 @@ def _save(path: Path, content: dict[str, Any]) -> None:
 
 
 def _load(path: Path) -> dict[str, Any] | None:
-    """Return the checkpoint at ``path``; None (start again) if there is none or it is damaged."""
-    with contextlib.suppress(FileNotFoundError, pickle.UnpicklingError):
-        content = path.read_bytes()
-        if hashlib.sha256(content[32:]).digest() == content[:32]:
+    """Return the checkpoint at ``path``; None (start again) if there is none, or it is damaged and that has been said."""
+    if not path.exists():
+        return None
+    content = path.read_bytes()
+    if hashlib.sha256(content[32:]).digest() == content[:32]:
+        with contextlib.suppress(pickle.UnpicklingError):  # written by a version that kept other things in it
             return torch.load(io.BytesIO(content[32:]), weights_only=True)
-        tqdm.write(f"the checkpoint {path.name} is damaged: starting this unit again")
+    tqdm.write(f"the checkpoint {path.name} cannot be read: starting this unit again")
     return None

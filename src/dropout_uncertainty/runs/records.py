@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
 
 __all__ = [
@@ -33,8 +34,6 @@ __all__ = [
     "header_checksum", "missing_seeds", "parent", "provenance", "read", "root", "table", "verify", "write",
 ]  # fmt: skip
 
-# of the repository, whatever folder the records of a run go to
-OWN = Path(__file__).resolve().parents[3] / "records"
 SCHEMA = 2
 HEADER = "header.json"
 #: What systems say on a disk without hard links.
@@ -79,17 +78,30 @@ class Record:
 
 
 def root() -> Path:
-    """Return the folder of the records: ``DROPOUT_UNCERTAINTY_RECORDS`` if set, else ``records`` of the repository."""
-    return Path(os.environ.get("DROPOUT_UNCERTAINTY_RECORDS") or OWN)
+    """Return the folder of the records: ``DROPOUT_UNCERTAINTY_RECORDS`` if set, else ``records`` of the repository.
+
+    Of a package that is installed elsewhere it is ``records`` in the current folder.
+    """
+    return folders.named(folders.RECORDS) or (folders.checkout() or Path.cwd()) / "records"
 
 
 def table(name: str) -> list[dict[str, str]]:
     """Return the lines of a table of the repository's ``records``: what the thesis prints or an original program left.
 
-    ``name`` is without suffix, such as "thesis" or "original/pilco_octave_cartpole".
+    ``name`` is without suffix, such as "thesis" or "original/pilco_octave_cartpole". Outside a clone of the repository
+    the table is looked for among the records.
+
+    Raises:
+        RecordError: if it is not there.
     """
-    with open(OWN / f"{name}.csv", newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    clone = folders.checkout()
+    path = (clone / "records" if clone else root()) / f"{name}.csv"
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+    except FileNotFoundError:
+        remedy = f"a clone of the repository has it; name its folder of records with {folders.RECORDS}"
+        raise RecordError(f"there is no table {path}: {remedy}") from None
 
 
 def config_dict(config: Any) -> dict[str, Any]:
@@ -358,7 +370,7 @@ def find(
     Raises:
         RecordError: if one of them cannot be trusted, seeds come twice, or configs of one name differ.
     """
-    folder = folder or root()
+    folder = folders.existing(folder or root(), folders.RECORDS, "records")
     found = [read(path, folder) for path in _files(folder / experiment / (name or ""))]
     if name is not None:
         found = [record for record in found if record.header["name"] == name]
@@ -428,7 +440,7 @@ def missing_seeds(
 
 def verify(folder: Path | None = None) -> list[tuple[Path, str | None]]:
     """Return every record file below ``folder`` with None, or the sentence that says what is wrong with it."""
-    folder = folder or root()
+    folder = folders.existing(folder or root(), folders.RECORDS, "records")
     results: dict[Path, str | None] = {}
     intact = []
     for path in _files(folder):

@@ -12,9 +12,7 @@ try:
     import gymnasium
     from gymnasium import spaces
 except ImportError as missing:
-    raise UserError(
-        "the environment needs Gymnasium, which is not installed: pip install 'dropout-uncertainty[gym]'"
-    ) from missing
+    raise UserError("the environment needs Gymnasium, which is not installed: pip install 'gymnasium>=1'") from missing
 
 __all__ = ["ForagingWorld"]
 
