@@ -238,7 +238,6 @@ class ActiveLearning:
     ) -> None:
         self.config, self.seeds = config, tuple(seeds)
         self.learner = CNNLearner(config, seeds, device=device, precision=precision, data=data)
-        self.total, self.done = config.rounds + 1, 0
         splits = [
             split(
                 self.learner.data.train_labels,
@@ -250,10 +249,21 @@ class ActiveLearning:
             for seed in seeds
         ]
         self.pools = [Pool(s.initial, s.pool[: config.random_from]) for s in splits]
-        replicas, shape = len(self.seeds), (len(self.seeds), config.rounds)
+        self.labels = self._growth()
+        self.total, self.done = len(self.labels), 0
+        replicas, shape = len(self.seeds), (len(self.seeds), self.total - 1)
         self.error = np.full((replicas, self.total), np.nan, np.float32)
         self.mc_error = np.full((replicas, self.total), np.nan, np.float32)
         self.tied, self.all_tied = np.zeros(shape, np.int32), np.zeros(shape, bool)
+
+    def _growth(self) -> Int[np.ndarray, " T"]:
+        """Return the number of labels at each step: rounds are as large as the candidates, and end with the pool."""
+        config, pool = self.config, self.pools[0]
+        size, subset = len(pool.all), None if config.acquisition == "random" else config.subset
+        each = min(config.acquired, size, subset or size)
+        most = config.rounds * each if config.replacement else size
+        grown = np.unique(np.minimum(each * np.arange(config.rounds + 1), most))
+        return (len(pool.labelled) + grown).astype(np.int32)
 
     def advance(self) -> str:
         """Train on what is labelled, measure the test error, and acquire the next points."""
@@ -263,7 +273,7 @@ class ActiveLearning:
         self.error[:, r] = self.learner.test_error()
         if config.mc_test_every and r % config.mc_test_every == 0:
             self.mc_error[:, r] = self.learner.test_error(config.draws)
-        if r < config.rounds:
+        if r + 1 < self.total:
             self._acquire(r)
         self.done += 1
         return f"{self.pools[0].labelled.shape[0]} labels, error {self.error[:, r].mean():.2f} %"
@@ -290,7 +300,7 @@ class ActiveLearning:
 
     def state(self) -> dict[str, Any]:
         """Return what a killed run continues from: the acquired points and the measurements so far."""
-        acquired = [pool.labelled[self._initial :] for pool in self.pools]
+        acquired = [pool.labelled[self.labels[0] :] for pool in self.pools]
         return {
             "done": self.done,
             "acquired": torch.stack(acquired),
@@ -301,7 +311,7 @@ class ActiveLearning:
         """Continue from ``state()`` of a process with the same config and seeds, itself at step 0."""
         self.done = state["done"]
         for pool, acquired in zip(self.pools, state["acquired"], strict=True):
-            for indices in acquired.split(self.config.acquired):
+            for indices in acquired.split(np.diff(self.labels)[: self.done].tolist()):
                 pool.acquire(indices, keep=self.config.replacement)
         for name, array in self._measured():
             array[:] = state[name].numpy()
@@ -310,16 +320,11 @@ class ActiveLearning:
         """Return the arrays of the record.
 
         ``labels`` [T] number of labels; ``error`` and ``mc_error`` [R, T] test error in % (NaN: not measured);
-        ``points`` [R, 20 + 10 rounds] training-set indices in the order of labelling; ``tied`` [R, rounds] candidates
-        that share the score of the last one chosen; ``all_tied`` [R, rounds].
+        ``points`` [R, labels[-1]] training-set indices in the order of labelling; ``tied`` [R, T - 1] candidates that
+        share the score of the last one chosen; ``all_tied`` [R, T - 1]. T is 1 + rounds, or less if the pool runs out.
         """
-        labels = self._initial + self.config.acquired * np.arange(self.total)
         points = torch.stack([pool.labelled for pool in self.pools]).numpy().astype(np.int32)
-        return {"labels": labels.astype(np.int32), "points": points, **dict(self._measured())}
-
-    @property
-    def _initial(self) -> int:
-        return 10 * self.config.per_class
+        return {"labels": self.labels, "points": points, **dict(self._measured())}
 
     def _measured(self) -> list[tuple[str, np.ndarray]]:
         return [("error", self.error), ("mc_error", self.mc_error), ("tied", self.tied), ("all_tied", self.all_tied)]

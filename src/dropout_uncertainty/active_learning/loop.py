@@ -62,7 +62,8 @@ def acquire(
     if left == 0:
         raise ValueError("the pool is empty: nothing is left to acquire")
     if left < count:
-        warnings.warn(f"only {left} points are left in the pool, asked for {count}: taking them all", stacklevel=2)
+        few = f"the subset has {left} candidates" if left == subset else f"only {left} points are left in the pool"
+        warnings.warn(f"{few}, asked for {count}: taking them all", stacklevel=2)
     if acquisition == "random":
         scores = [torch.zeros(len(o)) for o in offered]
     else:
