@@ -20,7 +20,7 @@ from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS
 from dropout_uncertainty.active_learning.loop import acquire
-from dropout_uncertainty.active_learning.network import BayesianCNN
+from dropout_uncertainty.active_learning.network import CLASSES, BayesianCNN
 from dropout_uncertainty.active_learning.pool import Pool, split
 from dropout_uncertainty.runs import Unit, precision_dtype
 
@@ -147,6 +147,7 @@ class CNNLearner:
     """
 
     network: BayesianCNN
+    classes = CLASSES
 
     def __init__(
         self,
