@@ -1,8 +1,8 @@
 """Learners for ``simulate`` around classifiers from elsewhere: scikit-learn's, torch modules with dropout, ensembles.
 
-Each is given the data once (``hold``) and is then a ``loop.Learner`` with one replica. Its random numbers are a function
-of the seed and of the number of labelled points, so that a simulation can go on from a checkpoint; the global random
-state is not moved.
+Each is given the data once (``hold``) and is then a ``loop.Learner`` with one replica. Its random numbers are a
+function of the seed and of the number of labelled points, so that a simulation can go on from a checkpoint; the global
+random state is not moved.
 """
 
 import copy
@@ -63,7 +63,8 @@ class SklearnLearner(Holder):
         self.classifier = classifier
 
     def __repr__(self) -> str:
-        return f"SklearnLearner({self.classifier!r})"
+        settings = getattr(self.classifier, "get_params", lambda: vars(self.classifier))()
+        return f"SklearnLearner({type(self.classifier).__qualname__}, {settings})"
 
     def fit(self, labelled: Int[Tensor, "1 n"]) -> None:
         """Train a fresh copy on the given points."""
