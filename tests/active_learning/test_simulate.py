@@ -12,7 +12,7 @@ from torch import nn
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning import DropoutLearner, EnsembleLearner, SklearnLearner, simulate
 from dropout_uncertainty.active_learning.loop import acquire
-from dropout_uncertainty.active_learning.pool import Pool
+from dropout_uncertainty.active_learning.pools import Pool
 
 NAMES = np.array(["ant", "bee", "cow"])
 
@@ -240,7 +240,7 @@ def test_a_module_that_will_not_do_is_named(data, layers, message):
 
 def test_what_is_no_classifier_is_refused():
     with pytest.raises(ValueError, match="regression is out of scope"):
-        SklearnLearner(nn.Linear(2, 3))
+        SklearnLearner(nn.Flatten())
     with pytest.raises(ValueError, match="a class has to be called"):
         SklearnLearner(Nearest)
     with pytest.raises(ValueError, match="a function that makes a new module"):

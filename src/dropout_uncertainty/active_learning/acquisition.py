@@ -18,7 +18,7 @@ from torch import Generator, Tensor
 from dropout_uncertainty.active_learning.inputs import numbers, whole
 
 __all__ = [
-    "ACQUISITIONS", "Selection", "bald", "least_confidence", "max_entropy", "mean_std", "score", "select",
+    "ACQUISITIONS", "Selection", "bald", "least_confidence", "margin", "max_entropy", "mean_std", "score", "select",
     "variation_ratios",
 ]  # fmt: skip
 
@@ -75,6 +75,12 @@ def least_confidence(log_probs: Float[Tensor, "S N C"]) -> Float[Tensor, " N"]:
     return -torch.expm1(mean_log_probs(log_probs).amax(-1))
 
 
+def margin(log_probs: Float[Tensor, "S N C"]) -> Float[Tensor, " N"]:
+    """Return 1 minus the gap between the two largest p̄ (Scheffer et al., 2001)."""
+    first, second = mean_log_probs(log_probs).exp().topk(2, -1).values.unbind(-1)
+    return 1 - (first - second)
+
+
 #: Scored acquisition functions by name; "random" is the acquisition that needs no score.
 ACQUISITIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "max-entropy": max_entropy,
@@ -82,19 +88,16 @@ ACQUISITIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "bald": bald,
     "mean-std": mean_std,
     "least-confidence": least_confidence,
+    "margin": margin,
 }
 
 
-def score(acquisition: str, log_probs: ArrayLike) -> Float[Tensor, " N"]:
-    """Return the scores of the named acquisition function in float64, from log-probabilities [S, N, C].
+def checked(log_probs: ArrayLike) -> Float[Tensor, "S N C"]:
+    """Return log-probabilities in float64.
 
     Raises:
-        ValueError: if the name is unknown, the shape is not [S, N, C], a value is NaN, or the probabilities do not sum
-            to 1 over the classes.
+        ValueError: if the shape is not [S, N, C], a value is NaN, or the probabilities of a point do not sum to 1.
     """
-    if acquisition not in ACQUISITIONS:
-        names = ", ".join(["random", *ACQUISITIONS])
-        raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {names}")
     values = numbers(log_probs, "log-probabilities [S, N, C]").double()
     if values.ndim != 3 or 0 in values.shape:
         raise ValueError(f"expected log-probabilities of shape [S, N, C], got {list(values.shape)}")
@@ -107,7 +110,19 @@ def score(acquisition: str, log_probs: ArrayLike) -> Float[Tensor, " N"]:
             f"{total.min():.3g} to {total.max():.3g}: take log_softmax of logits, the log of probabilities; "
             "a regression has no classes"
         )
-    return ACQUISITIONS[acquisition](values)
+    return values
+
+
+def score(acquisition: str, log_probs: ArrayLike) -> Float[Tensor, " N"]:
+    """Return the scores of the named acquisition function in float64, from log-probabilities [S, N, C].
+
+    Raises:
+        ValueError: if the name is unknown or ``checked`` refuses the log-probabilities.
+    """
+    if acquisition not in ACQUISITIONS:
+        names = ", ".join(["random", *ACQUISITIONS])
+        raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {names}")
+    return ACQUISITIONS[acquisition](checked(log_probs))
 
 
 @dataclass(frozen=True)

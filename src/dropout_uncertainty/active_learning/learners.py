@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning.inputs import whole
+from dropout_uncertainty.active_learning.loop import Learner
 
 __all__ = ["DropoutLearner", "EnsembleLearner", "SklearnLearner"]
 
@@ -31,7 +32,7 @@ def _number(seed: int, *path: str | int) -> int:
     return int(torch.randint(2**31, (), generator=rng.generator(seed, *path)))
 
 
-class Holder:
+class Holder(Learner):
     """What the learners share: the data, the number of classes and a seed."""
 
     images: Tensor

@@ -20,16 +20,17 @@ import torch
 from jaxtyping import Float, Int
 from torch import Generator, Tensor, nn
 
-from dropout_uncertainty.active_learning.acquisition import Selection, score, select
+from dropout_uncertainty.active_learning.acquisition import Selection, checked, score, select
+from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
 from dropout_uncertainty.active_learning.inputs import numbers, whole
-from dropout_uncertainty.active_learning.pool import Pool
+from dropout_uncertainty.active_learning.pools import Pool
 
 __all__ = ["Learner", "acquire", "predictions"]
 
 #: Candidates that a learner predicts at a time, at most.
 CHUNK = 4_000
-#: Log-probabilities (draws × points × classes) of one replica held in memory at a time: 32 MB in float64.
-VALUES = 4_000_000
+#: Log-probabilities (draws × points × classes) of one replica that are scored at a time: 160 MB in float64.
+VALUES = 20_000_000
 
 
 @runtime_checkable
@@ -77,19 +78,37 @@ def acquire(
     if left < count:
         few = f"the subset has {left} candidates" if left == subset else f"only {left} points are left in the pool"
         warnings.warn(f"{few}, asked for {count}: taking them all", stacklevel=2)
+    if acquisition in BATCH_ACQUISITIONS:
+        choose = BATCH_ACQUISITIONS[acquisition]
+        log_probs = torch.cat(list(predictions(learner, torch.stack(offered), draws)), 2)
+        selections = [
+            Selection(choose(checked(replica), count, generator), 1, False)
+            for replica, generator in zip(log_probs, generators, strict=True)
+        ]
+    else:
+        selections = highest(learner, offered, acquisition, count, draws, generators)
+    for pool, candidates, selection in zip(pools, offered, selections, strict=True):
+        pool.acquire(candidates[selection.positions], keep=replace)
+    return selections
+
+
+def highest(
+    learner: Learner,
+    offered: Sequence[Int[Tensor, " M"]],
+    acquisition: str,
+    count: int,
+    draws: int,
+    generators: Sequence[Generator],
+) -> list[Selection]:
+    """Return the candidates with the highest scores, for each replica."""
     if acquisition == "random":
         scores = [torch.zeros(len(o)) for o in offered]
     else:
-        scores = predicted_scores(learner, torch.stack(offered), acquisition, draws)
-    selections = []
-    for pool, candidates, values, generator in zip(pools, offered, scores, generators, strict=True):
-        with warnings.catch_warnings():
-            if acquisition == "random":  # all scores are equal on purpose
-                warnings.simplefilter("ignore")
-            selection = select(values, count, generator)
-        pool.acquire(candidates[selection.positions], keep=replace)
-        selections.append(selection)
-    return selections
+        scores = predicted_scores(learner, torch.stack(list(offered)), acquisition, draws)
+    with warnings.catch_warnings():
+        if acquisition == "random":  # all scores are equal on purpose
+            warnings.simplefilter("ignore")
+        return [select(values, count, generator) for values, generator in zip(scores, generators, strict=True)]
 
 
 def predicted_scores(

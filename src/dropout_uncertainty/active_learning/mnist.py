@@ -34,7 +34,7 @@ class DataError(UserError):
 
 @dataclass(frozen=True)
 class Mnist:
-    """Images in [0, 1] (pixel / 255, not centred) and labels 0-9.
+    """Images in [0, 1] (pixel / 255, not centred) and labels 0-9, or -1 for what is no digit of the task.
 
     Raises:
         DataError: if the images are not grey ones of 28 × 28 pixels as floating-point numbers, with one label 0-9 each.
@@ -56,7 +56,7 @@ class Mnist:
             if not torch.is_tensor(labels) or labels.dtype != torch.int64 or labels.shape != images.shape[:1]:
                 got = f"{getattr(labels, 'dtype', type(labels))} of shape {list(getattr(labels, 'shape', []))}"
                 raise DataError(f"expected one int64 label for each of {len(images)} images, got {got}; {OWN}")
-            if len(labels) and not 0 <= int(labels.min()) <= int(labels.max()) <= 9:
+            if len(labels) and not -1 <= int(labels.min()) <= int(labels.max()) <= 9:
                 raise DataError(f"expected labels 0-9, got {int(labels.min())} to {int(labels.max())}; {OWN}")
 
 

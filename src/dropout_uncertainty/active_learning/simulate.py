@@ -15,9 +15,10 @@ from tqdm import tqdm
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS
+from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
 from dropout_uncertainty.active_learning.inputs import indices, numbers, whole
 from dropout_uncertainty.active_learning.loop import Learner, acquire, predictions
-from dropout_uncertainty.active_learning.pool import Pool
+from dropout_uncertainty.active_learning.pools import Pool
 
 __all__ = ["Curve", "simulate"]
 
@@ -72,7 +73,7 @@ def simulate(
             over the same data set.
         images: N images or rows of features, [N, ...]: array, tensor or data frame.
         labels: N labels of any type that has an order, such as strings; for classification only.
-        acquisition: "random" or a name in ``acquisition.ACQUISITIONS``.
+        acquisition: "random" or a name in ``ACQUISITIONS`` or ``BATCH_ACQUISITIONS``.
         count: points labelled in each round; the last ones are fewer if the pool runs out, and then it ends.
         rounds: acquisition rounds.
         draws: weight draws that score a candidate; 0 is the deterministic pass.
@@ -87,10 +88,8 @@ def simulate(
     Raises:
         ValueError: if the data are not as above, or the checkpoint is damaged or of another simulation.
     """
-    if acquisition != "random" and acquisition not in ACQUISITIONS:
-        raise ValueError(
-            f"unknown acquisition function {acquisition!r}, choose one of random, {', '.join(ACQUISITIONS)}"
-        )
+    if acquisition not in (names := ["random", *ACQUISITIONS, *BATCH_ACQUISITIONS]):
+        raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {', '.join(names)}")
     whole(count, "the count of points to acquire")
     whole(rounds, "the number of rounds", 0)
     features, targets, classes = _data(images, labels)
@@ -197,5 +196,5 @@ def _identity(learner: Learner, features: Tensor, *settings: Any) -> str:
     """Return a checksum of everything that a simulation depends on but its number of rounds."""
     plain = type(learner).__repr__ is object.__repr__  # it would show an address in memory
     digest = hashlib.sha256(repr((type(learner).__qualname__ if plain else repr(learner), *settings)).encode())
-    digest.update(features.contiguous().flatten().view(torch.uint8).numpy())
+    digest.update(features.contiguous().flatten().view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()
