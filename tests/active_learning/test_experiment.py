@@ -79,6 +79,48 @@ def test_resumed_equals_uninterrupted(process, row):
     assert np.isfinite(whole["mc_error"][0]).tolist() == [True, False, True, False]
 
 
+@pytest.mark.parametrize(
+    ("change", "labels", "warning"),
+    [
+        ({"subset": 2}, [20, 22, 24, 26], "the subset has 2 candidates, asked for 3"),
+        ({"subset": 2, "acquisition": "random"}, [20, 23, 26, 29], None),
+        ({"random_from": 5}, [20, 23, 25], "only 2 points are left in the pool, asked for 3"),
+        ({"random_from": 2, "replacement": True}, [20, 22, 24, 26], "only 2 points are left"),
+        ({"pool": 0}, [20], None),
+    ],
+)
+@pytest.mark.filterwarnings("always")
+def test_a_record_counts_what_was_labelled(process, change, labels, warning, recwarn):
+    config = replace(TINY, **change)
+    whole = finish(process(config))
+    assert whole["labels"].tolist() == labels
+    assert whole["points"].shape == (1, labels[-1])
+    assert whole["error"].shape == (1, len(labels))
+    assert (warning is None) == (not recwarn)
+    assert all(str(given.message).startswith(warning) for given in recwarn)
+    for done in {1, len(labels) - 1}:
+        first, second = process(config), process(config)
+        for _ in range(done):
+            first.advance()
+            assert len(first.pools[0].labelled) == labels[min(first.done, len(labels) - 1)]
+        second.restore(first.state())
+        for name, array in finish(second).items():
+            np.testing.assert_array_equal(array, whole[name], err_msg=name)
+
+
+def test_three_classes_are_counted_as_three(process, digits):
+    few = digits.train_labels < 3
+    data = replace(digits, train_images=digits.train_images[few], train_labels=digits.train_labels[few])
+    first, second = (
+        ActiveLearning(replace(TINY, pool=90), (100,), device="cpu", precision="float32", data=data) for _ in range(2)
+    )
+    first.advance()
+    second.restore(first.state())
+    resumed = finish(second)
+    assert resumed["labels"].tolist() == [6, 9, 12, 15]
+    np.testing.assert_array_equal(resumed["points"], finish(first)["points"])
+
+
 def test_a_tiny_network_learns_twenty_images(digits):
     learner = CNNLearner(replace(TINY, epochs=60, decay=0.1), (100,), data=digits)
     labelled = torch.arange(20)[None]
