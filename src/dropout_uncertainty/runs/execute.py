@@ -403,7 +403,7 @@ def _save(path: Path, content: dict[str, Any]) -> None:
 
 
 def _load(path: Path) -> dict[str, Any] | None:
-    """Return the checkpoint at ``path``; None (start again) if there is none, or it is damaged and that has been said."""
+    """Return the checkpoint at ``path``; None (start again) if there is none or, which is said, it is damaged."""
     if not path.exists():
         return None
     content = path.read_bytes()
