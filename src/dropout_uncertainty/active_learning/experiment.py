@@ -6,7 +6,7 @@ killed continues from the list of acquired points alone and ends with the same a
 """
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,7 +25,9 @@ from dropout_uncertainty.active_learning.loop import acquire
 from dropout_uncertainty.active_learning.network import BayesianCNN
 from dropout_uncertainty.active_learning.noisy_pools import KINDS, NO_LABEL, Task, make_task
 from dropout_uncertainty.active_learning.pools import Pool, split
+from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = ["CONFIGS", "EXPERIMENT", "ROWS", "ActiveLearning", "CNNLearner", "Config", "start", "units"]
 
@@ -436,13 +438,38 @@ def start(config: Config, seeds: Sequence[int], *, device: str = "cpu", precisio
     return ActiveLearning(config, seeds, device=device, precision=precision)
 
 
-def units(name: str, seeds: Sequence[int], *, device: str = "cpu", precision: str | None = None) -> list[Unit]:
-    """Return the units of a named config: one per seed on a CPU, one of all seeds stacked on a GPU.
+def memory(config: Config) -> float:
+    """Return an estimate of the bytes that a repetition takes: features and predictions of the candidates it scores."""
+    side = (30 - 2 * config.kernel) // 2  # behind two convolutions and the pooling
+    features, activations = 32 * side**2, 32 * 2 * 28**2
+    pool = 54_980 if config.pool is None else config.pool
+    candidates = 0 if config.acquisition == "random" else min(config.subset or pool, pool)
+    scored = candidates * (2 * features + 3 * 10 * config.draws)
+    return 4.0 * (scored + EVALUATION_BATCH * (activations + features) + 5 * 128 * features)
 
-    The default precision is that of the published records: float32 for the pools, bfloat16 for the tables.
-    """
-    precision = precision or ("float32" if name.startswith("pools") else "bfloat16")
-    # What teaches nothing differs between replicas, and with it the size of their training sets.
-    stack = device == "cuda" and CONFIGS[name].pool_kind != "irrelevant"
-    groups = [tuple(seeds)] if stack else [(seed,) for seed in seeds]
-    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, precision) for group in groups]
+
+def _sweep(choose: Callable[[str], bool], precisions: Sequence[str], stacked: int) -> Sweep:
+    """Return the sweep of some configs: one seed per unit on a CPU, which one replica keeps busy."""
+    configs = {name: config for name, config in CONFIGS.items() if choose(name)}
+    return Sweep(EXPERIMENT, configs, start, precisions, {"cpu": 1, "cuda": stacked}, repetitions=5, memory=memory)
+
+
+def _teaches_nothing(name: str) -> bool:
+    return CONFIGS[name].pool_kind == "irrelevant"
+
+
+SWEEPS = (
+    _sweep(lambda name: not name.startswith("pools"), ("bfloat16", "float32", "float64"), 10),
+    _sweep(
+        lambda name: name.startswith("pools") and not _teaches_nothing(name), ("float32", "bfloat16", "float64"), 10
+    ),
+    # What teaches nothing differs between replicas, and with it the size of their training sets: no stacking.
+    _sweep(lambda name: name.startswith("pools") and _teaches_nothing(name), ("float32", "bfloat16", "float64"), 1),
+)
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units(SWEEPS, name, seeds, device, precision)
