@@ -173,3 +173,50 @@ def test_the_configs_say_what_they_follow():
 def test_impossible_settings_are_refused(change):
     with pytest.raises(ValueError, match=next(iter(change)).replace("approximation", "approximation|acquisition")):
         replace(TINY, **change)
+
+
+@pytest.mark.parametrize("row", ["ambiguous/ensemble/bald", "repeated/dropout/batch-bald", "irrelevant/dropout/bald"])
+def test_runs_on_noisy_pools_resume(process, row):
+    changes = {"epochs": 2, "draws": 5, "subset": 60, "rounds": 2, "acquired": 4, "pool": 500, "validation": 100}
+    config = replace(CONFIGS[f"pools/{row}"], **changes, members=2)
+    whole = finish(process(config))
+    first = process(config)
+    first.advance()
+    second = process(config)
+    second.restore(first.state())
+    resumed = finish(second)
+    for name, array in whole.items():
+        np.testing.assert_array_equal(array, resumed[name], err_msg=name)
+    assert whole["labels"].tolist() == [20, 24, 28]
+    assert whole["wasted"].shape == (1, 2)
+
+
+def test_an_ensemble_is_tested_by_the_network_that_a_single_run_trains(process):
+    rows = [
+        finish(process(replace(TINY, approximation=a, acquisition="bald", rounds=1))) for a in ("ensemble", "dropout")
+    ]
+    assert rows[0]["error"][0, 0] == rows[1]["error"][0, 0]
+    assert rows[0]["points"].tolist() != rows[1]["points"].tolist()
+    assert not rows[0]["all_tied"].any()  # its members differ
+
+
+def test_irrelevant_points_teach_nothing(process):
+    config = replace(CONFIGS["pools/irrelevant/random"], epochs=2, pool=500, validation=100)
+    learner = process(config).learner
+    labels = learner.labels[0]
+    relevant, irrelevant = (labels >= 0).nonzero().flatten()[:30], (labels < 0).nonzero().flatten()[:10]
+    learner.fit(relevant[None])
+    alone = learner.log_probs(relevant[None], 0)
+    learner.round = -1
+    learner.fit(torch.cat([relevant, irrelevant])[None])
+    assert torch.equal(learner.log_probs(relevant[None], 0), alone)
+
+
+@pytest.mark.parametrize("size", range(20, 321, 10))
+def test_even_minibatches_leave_no_remainder(digits, size):
+    learner = CNNLearner(replace(CONFIGS["pools/clean/random"], epochs=1), (100,), data=digits)
+    parts = list(learner._minibatches(size))
+    sizes = [part.shape[1] for part in parts]
+    assert max(sizes) - min(sizes) <= 1
+    assert max(sizes) <= 128
+    assert torch.cat(parts, 1).sort().values.tolist() == [list(range(size))]
