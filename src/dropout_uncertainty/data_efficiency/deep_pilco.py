@@ -14,11 +14,11 @@ from jaxtyping import Float, Int
 from torch import Generator, Tensor
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.data_efficiency import lockstep
+from dropout_uncertainty.data_efficiency import lockstep, trial_gradient
 from dropout_uncertainty.data_efficiency.cartpole import FEATURE_NAMES, CartPole
 from dropout_uncertainty.data_efficiency.controllers import RBFController
 from dropout_uncertainty.data_efficiency.dropout_dynamics import DrawnFunction, DropoutDynamics
-from dropout_uncertainty.data_efficiency.particles import COST_OF, MATCHING, Draws, predict
+from dropout_uncertainty.data_efficiency.particles import COST_OF, MATCHING, Draws, multiplied_out, predict
 
 OPTIMISERS = ("adam", "bfgs")
 # Optimisation steps whose particles and masks are drawn at once.
@@ -144,9 +144,14 @@ def objective(
     """Return the predicted cost, averaged over times 1 ... T, and its gradient in the controller's parameters."""
     leaf = parameters.detach().requires_grad_()
     with torch.enable_grad():
-        prediction = predict(shape.controller(leaf), plant, draws, plan.matching)
-        value = prediction.costs(plant, plan.cost_of).mean(-1)
-        (gradient,) = torch.autograd.grad(value.sum(), leaf)
+        if trial_gradient.covers(draws, plan.matching, plan.cost_of):
+            arrays = multiplied_out(shape.controller(leaf))
+            value, *gradients = trial_gradient.value_and_gradient(*(a.detach() for a in arrays), plant, draws)
+            (gradient,) = torch.autograd.grad(arrays, leaf, gradients)
+        else:
+            prediction = predict(shape.controller(leaf), plant, draws, plan.matching)
+            value = prediction.costs(plant, plan.cost_of).mean(-1)
+            (gradient,) = torch.autograd.grad(value.sum(), leaf)
     return value.detach(), gradient
 
 

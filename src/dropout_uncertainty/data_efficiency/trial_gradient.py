@@ -9,14 +9,13 @@ particles K last, where they are contiguous.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.cartpole import CartPole
 from dropout_uncertainty.data_efficiency.dropout_dynamics import DrawnFunction
 from dropout_uncertainty.data_efficiency.moment_matching import identity
 from dropout_uncertainty.data_efficiency.particles import JITTER, RELATIVE_JITTER, Draws
-from dropout_uncertainty.data_efficiency.squared_exponential import nan_cholesky
 
 ACTIVATION = {"relu": torch.relu_, "sigmoid": torch.sigmoid_}
 # Rows of `_Trial.inputs`: the network is given the first six, the controller all but the first.
@@ -49,6 +48,7 @@ def value_and_gradient(
     # The output u is a sum over basis functions, so one product gives the gradient in both arrays.
     in_output = trial.inputs[:, CONTROLLER] * (force_gradient * _force_slope(trial.output, plant.force_limit))
     gradient = in_output.flatten(2) @ trial.heights.flatten(1, 2)
+    gradient, value = (x.masked_fill(trial.failed.view(-1, *(1,) * (x.ndim - 1)), torch.nan) for x in (gradient, value))
     return value, gradient * weights.mT, gradient[:, -1:].mT
 
 
@@ -91,6 +91,7 @@ class _Trial:
     output: Float[Tensor, "R 1 T K"]  # of the controller, before the squash
     centred: Float[Tensor, "T R 4 K"]
     factor: Float[Tensor, "T R 4 4"]
+    failed: Bool[Tensor, " R"]  # a covariance had no factor
     hidden: list[list[Tensor]]  # by step and layer
 
     @classmethod
@@ -101,7 +102,8 @@ class _Trial:
         trial = cls(
             new(steps + 1, runs, dim, count), new(runs, ONE.stop, steps, count).fill_(1.0),
             new(runs, steps, count, matrix.shape[-1]), new(runs, 1, steps, count),
-            new(steps, runs, dim, count), new(steps, runs, dim, dim), [],
+            new(steps, runs, dim, count), new(steps, runs, dim, dim),
+            torch.zeros(runs, dtype=torch.bool, device=matrix.device), [],
         )  # fmt: skip
         trial.states[0] = draws.start.mT
         scale, jitter = _jitter(matrix, dim, count)
@@ -113,8 +115,10 @@ class _Trial:
             moved = change.add_(state)
             mean = moved.mean(-1, keepdim=True)
             centred = torch.sub(moved, mean, out=trial.centred[t])
-            cov = torch.addcmul(jitter, centred @ centred.mT, scale)
-            trial.factor[t] = factor = nan_cholesky(cov)
+            cov = torch.addcmul(jitter, torch.bmm(centred, centred.mT), scale)
+            factor, info = torch.linalg.cholesky_ex(cov)
+            trial.factor[t] = factor
+            trial.failed |= info > 0
             torch.baddbmm(mean, factor, draws.noise[:, t].mT, out=trial.states[t + 1])
         return trial
 
@@ -126,11 +130,12 @@ class _Trial:
         torch.sin(state[:, 3:], out=seen[:, 3:4])
         torch.cos(state[:, 3:], out=seen[:, 4:])
         torch.mul(seen, seen, out=rows[:, SQUARES])
-        height = torch.exp(rows[:, CONTROLLER].mT @ matrix, out=self.heights[:, t])
+        height = torch.exp(torch.bmm(rows[:, CONTROLLER].mT, matrix), out=self.heights[:, t])
         output = torch.bmm(weights, height.mT)
         self.output[:, :, t] = output
         sine = output.sin_()
-        torch.mul(sine, sine.square().sub_(3).mul_(-limit / 2), out=rows[:, FORCE])  # the squash, by sin 3u
+        # the squash, for sin 3u = 3 sin u - 4 sin³ u
+        torch.mul(sine, torch.addcmul(1.5 * limit * rows[:, ONE], sine, sine, value=-limit / 2), out=rows[:, FORCE])
 
 
 def _jitter(like: Tensor, dim: int, count: int) -> tuple[Tensor, Tensor]:
@@ -146,7 +151,7 @@ def _force_slope(output: Tensor, limit: float) -> Tensor:
 
 def _forward_slopes(trial: _Trial, matrix: Tensor, weights: Tensor, limit: float) -> Float[Tensor, "R 4 T K"]:
     """Return the derivatives of the force in the state, for all steps."""
-    in_features = (matrix[:, :-1] * weights.mT) @ trial.heights.flatten(1, 2).mT
+    in_features = (trial.heights.flatten(1, 2) @ (matrix[:, :-1] * weights.mT).mT).mT
     linear, squares = in_features.unflatten(-1, trial.output.shape[2:]).chunk(2, 1)
     seen = trial.inputs[:, SEEN]
     slopes = torch.addcmul(linear, seen, squares, value=2)
@@ -174,17 +179,18 @@ def _backward(
     steps, runs, dim, count = slope.shape
     inverse = torch.linalg.solve_triangular(trial.factor, identity(dim, slope.dtype, slope.device), upper=False)
     scale, _ = _jitter(slope, dim, count)
-    # with a column of ones one product sums the gradients over the particles too
-    noise = torch.cat((draws.noise, torch.ones_like(draws.noise[..., :1])), -1)
+    # with a further column one product gives the mean of the gradients over the particles too
+    noise = torch.cat((draws.noise, torch.full_like(draws.noise[..., :1], 1 / count)), -1)
     lower = torch.tensor([max(i, j) * dim + min(i, j) for i in range(dim) for j in range(dim)], device=slope.device)
     forces, gradient = torch.empty_like(trial.output), torch.zeros_like(slope[0])
     for t in reversed(range(steps)):
         gradient = gradient + slope[t]
-        in_factor, in_mean = (gradient @ noise[:, t]).split((dim, 1), -1)
+        in_factor, in_mean = torch.bmm(gradient, noise[:, t]).split((dim, 1), -1)
         # Through the factor L of the covariance: L^-T (lower half of L' dL, mirrored) L^-1.
-        mirrored = (trial.factor[t].mT @ in_factor).flatten(1).index_select(1, lower).view(runs, dim, dim)
-        in_cov = inverse[t].mT @ mirrored @ inverse[t] * scale
-        moved = torch.baddbmm(in_mean / count, in_cov, trial.centred[t])
+        half = torch.bmm(trial.factor[t].mT, in_factor).flatten(1)
+        mirrored = half.index_select(1, lower).view(runs, dim, dim)
+        in_cov = torch.bmm(torch.bmm(inverse[t].mT, mirrored), inverse[t]) * scale
+        moved = torch.baddbmm(in_mean, in_cov, trial.centred[t])
         in_inputs = networks[t % len(networks)].pull_back(moved, trial.hidden[t])
         force, linear, sine, cosine = in_inputs.split((1, 3, 1, 1), 1)
         forces[:, :, t] = force
