@@ -145,9 +145,9 @@ def objective(
     leaf = parameters.detach().requires_grad_()
     with torch.enable_grad():
         if trial_gradient.covers(draws, plan.matching, plan.cost_of):
-            arrays = multiplied_out(shape.controller(leaf))
-            value, *gradients = trial_gradient.value_and_gradient(*(a.detach() for a in arrays), plant, draws)
-            (gradient,) = torch.autograd.grad(arrays, leaf, gradients)
+            matrix, weights = multiplied_out(shape.controller(leaf))
+            value, *gradients = trial_gradient.value_and_gradient(matrix.detach(), weights.detach(), plant, draws)
+            (gradient,) = torch.autograd.grad((matrix, weights), leaf, gradients)
         else:
             prediction = predict(shape.controller(leaf), plant, draws, plan.matching)
             value = prediction.costs(plant, plan.cost_of).mean(-1)

@@ -15,6 +15,7 @@ from torch import Tensor
 from dropout_uncertainty.data_efficiency.cartpole import CartPole
 from dropout_uncertainty.data_efficiency.dropout_dynamics import DrawnFunction
 from dropout_uncertainty.data_efficiency.moment_matching import identity
+from dropout_uncertainty.data_efficiency.network_gradient import pull_back
 from dropout_uncertainty.data_efficiency.particles import JITTER, RELATIVE_JITTER, Draws
 
 ACTIVATION = {"relu": torch.relu_, "sigmoid": torch.sigmoid_}
@@ -24,9 +25,13 @@ NETWORK, CONTROLLER = slice(0, 6), slice(1, 12)
 
 
 def covers(draws: Draws, matching: str, cost_of: str) -> bool:
-    """Return whether `value_and_gradient` holds for these settings; autograd through `particles.predict` always does."""
-    plain = all(f.angle_features and f.input_mask is None and len(f.weights) > 1 for f in draws.functions)
-    return plain and matching == "full" and cost_of == "particles"
+    """Return whether `value_and_gradient` holds for these settings; autograd (`particles.predict`) always does."""
+    if matching != "full" or cost_of != "particles":
+        return False
+    return all(
+        type(f) is DrawnFunction and f.angle_features and f.input_mask is None and len(f.weights) > 1
+        for f in draws.functions
+    )
 
 
 def value_and_gradient(
@@ -73,11 +78,7 @@ class _Network:
         """Return the gradient in the inputs for one in the change of state."""
         g = gradient.mT
         for weight, h in zip(reversed(self.weights[1:]), reversed(hidden), strict=True):
-            g = torch.bmm(g, weight.mT)
-            if self.activation == "relu":
-                g = torch.ops.aten.threshold_backward(g, h, 0)
-            else:
-                g = torch.ops.aten.sigmoid_backward(g, h)
+            g = pull_back(self.activation, torch.bmm(g, weight.mT), h)
         return torch.bmm(self.weights[0], g.mT)
 
 
