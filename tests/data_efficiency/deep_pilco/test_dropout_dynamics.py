@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from dropout_uncertainty.bayes import weight_decay
-from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
+from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import LOG_NOISE_RANGE, DropoutDynamics
+from dropout_uncertainty.data_efficiency.deep_pilco.network_gradient import set_gradients
 from dropout_uncertainty.data_efficiency.plant.cartpole import features
 from dropout_uncertainty.rng import generator
 
@@ -15,6 +16,11 @@ FIT = {"steps": 20, "rate": 1e-2, "final_rate": 0.1, "batch": 16, "length_scale"
 
 def dynamics(seeds=(100, 101), **options):
     return DropoutDynamics(seeds, **{"hidden": (12, 10), "drop": 0.25, "dtype": torch.float64, **options})
+
+
+def gradients(model, inputs, targets, masks, decays):
+    """Set the gradients of the parameters and return the likelihood part of the objective."""
+    return set_gradients(model.net, model.activation, model.log_noise, LOG_NOISE_RANGE, inputs, targets, masks, decays)
 
 
 def transitions(runs=2, count=30, noise=0.0):
@@ -55,13 +61,37 @@ def test_the_objective_is_the_mean_negative_log_likelihood_with_the_decay_of_the
     model = dynamics(drop=0.1)
     n, length_scale = 50, 0.4
     decays = [weight_decay(n, p, length_scale, 1.0) for p in model.drop]
-    mean, target = torch.zeros(2, 3, 4, dtype=torch.float64), torch.full((2, 3, 4), 0.5, dtype=torch.float64)
+    inputs, target = torch.zeros(2, 3, 6, dtype=torch.float64), torch.full((2, 3, 4), 0.5, dtype=torch.float64)
     std = math.exp(-2.0)
     likelihood = torch.distributions.Normal(0.0, std).log_prob(torch.tensor(0.5)).item() + 0.5 * math.log(2 * math.pi)
     squares = [weight.detach()[1].square().sum().item() for weight in model.net.weights]
     keep = (1.0, 0.9, 0.9)
     expected = -4 * likelihood + sum(k * length_scale**2 / (2 * n) * s for k, s in zip(keep, squares, strict=True))
-    assert (model._loss(mean, target) + model._penalty(decays))[1].item() == pytest.approx(expected, rel=1e-6)
+    found = gradients(model, inputs, target, model.draw(3, 0), decays) + model._penalty(decays)
+    assert found[1].item() == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("activation", "input_drop"), [("relu", 0.0), ("sigmoid", 0.2)])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-12), (torch.float32, 1e-4)])
+def test_gradients_by_hand_are_those_of_autograd(activation, input_drop, dtype, tolerance):
+    model = dynamics(activation=activation, input_drop=input_drop, hidden=(16, 12), dtype=dtype)
+    g, decays, masks = generator(100, "gradients"), (0.01, 0.02, 0.03), model.draw(9, 0)
+    inputs, targets = torch.randn(2, 9, 6, generator=g, dtype=dtype), torch.randn(2, 9, 4, generator=g, dtype=dtype)
+    with torch.no_grad():
+        for bias in model.net.biases:
+            bias += 0.3 * torch.randn(bias.shape, generator=g, dtype=dtype)
+        model.log_noise[0, 0] = torch.tensor([-6.0, -5.0, 0.0, 0.5])  # beyond the limits the gradient is 0
+    noise = torch.distributions.Normal(model.net(inputs, masks), model.log_noise.clamp(*LOG_NOISE_RANGE).exp())
+    constant = 4 * 0.5 * math.log(2 * math.pi)
+    loss = -noise.log_prob(targets).sum(-1).mean(-1) - constant
+    decay = sum(d * w.square().sum() for d, w in zip(decays, model.net.weights, strict=True))
+    parameters = [*model.net.parameters(), model.log_noise]
+    expected = torch.autograd.grad(loss.sum() + decay, parameters)
+    close = {"rtol": tolerance, "atol": tolerance}
+    torch.testing.assert_close(gradients(model, inputs, targets, masks, decays), loss.detach(), **close)
+    for parameter, gradient in zip(parameters, expected, strict=True):
+        scale = gradient.abs().max().item()
+        torch.testing.assert_close(parameter.grad, gradient, rtol=tolerance, atol=tolerance * scale)
 
 
 def test_a_fit_learns_the_function_and_the_size_of_the_noise():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from dropout_uncertainty.data_efficiency.deep_pilco import particles, planning
+from dropout_uncertainty.data_efficiency.deep_pilco import particles, planning, trial_gradient
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DrawnFunction, DropoutDynamics
 from dropout_uncertainty.data_efficiency.deep_pilco.particles import Draws
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import Planning, RBFShape
@@ -138,6 +138,49 @@ def test_gradients_equal_finite_differences_under_fixed_draws(matching, cost_of,
         direction, h = normal(2, SHAPE.size, name=f"direction {number}"), 1e-6
         slope = (value(parameters + h * direction)[0] - value(parameters - h * direction)[0]) / (2 * h)
         torch.testing.assert_close((gradient * direction).sum(1), slope, rtol=1e-5, atol=1e-8)
+
+
+def by_autograd(plan, parameters, draws):
+    """Return what `planning.objective` returns, by autograd through `particles.predict`."""
+    leaf = parameters.clone().requires_grad_()
+    value = particles.predict(SHAPE.controller(leaf), PLANT, draws, plan.matching).costs(PLANT).mean(-1)
+    return value.detach(), torch.autograd.grad(value.sum(), leaf)[0]
+
+
+@pytest.mark.parametrize("hidden", [(16,), (16, 12)])
+@pytest.mark.parametrize(("activation", "hold"), [("relu", True), ("relu", False), ("sigmoid", True)])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-11), (torch.float32, 2e-3)])
+def test_the_gradient_by_hand_is_that_of_autograd(hidden, activation, hold, dtype, tolerance):
+    plan = replace(PLAN, hold_masks=hold)
+    made, parameters = model(hidden=hidden, activation=activation, dtype=dtype), policies().to(dtype)
+    draws = draws_of(made, plan)
+    assert trial_gradient.covers(draws, plan.matching, plan.cost_of)
+    value, gradient = planning.objective(PLANT, SHAPE, plan, parameters, draws)
+    expected_value, expected = by_autograd(plan, parameters, draws)
+    torch.testing.assert_close(value, expected_value, rtol=tolerance, atol=0)
+    assert ((gradient - expected).norm(dim=1) < tolerance * expected.norm(dim=1)).all()
+
+
+def test_a_covariance_without_factor_spoils_its_replica_alone():
+    made, parameters = model(), policies()
+    draws = draws_of(made)
+    expected = by_autograd(PLAN, parameters, draws)
+    draws.noise[1, 2] = torch.nan
+    for got, want in zip(planning.objective(PLANT, SHAPE, PLAN, parameters, draws), expected, strict=True):
+        torch.testing.assert_close(got[0], want[0])
+        assert got[1].isnan().all()
+
+
+@pytest.mark.parametrize(
+    ("change", "options"),
+    [
+        ({"matching": "diagonal"}, {}), ({"matching": "off"}, {}), ({"cost_of": "mean"}, {}),
+        ({}, {"angle_features": False}), ({}, {"input_drop": 0.25}),
+    ],
+)  # fmt: skip
+def test_other_settings_are_left_to_autograd(change, options):
+    plan = replace(PLAN, **change)
+    assert not trial_gradient.covers(draws_of(model(**options), plan), plan.matching, plan.cost_of)
 
 
 def test_masks_are_held_for_the_trial_or_redrawn_each_step():

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import MLP, Masks, draw_masks, weight_decay
+from dropout_uncertainty.data_efficiency.deep_pilco.network_gradient import set_gradients
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, STATE_NAMES, features
 
 # The noise standard deviation is learned between these, in units of the targets' standard deviation.
@@ -194,15 +195,12 @@ class DropoutDynamics:
                 rows, masks = self._draw_block(count, batch, *path, block)
             chosen = rows[:, place, :, None]
             part = slice(place * batch, (place + 1) * batch)
-            mean = self.net(
-                x.gather(1, chosen.expand(-1, -1, x.shape[-1])), tuple(m if m is None else m[:, part] for m in masks)
-            )
-            loss = self._loss(mean, y.gather(1, chosen.expand(-1, -1, y.shape[-1])))
-            adam.zero_grad()
-            loss.sum().backward()
-            for weight, decay in zip(self.net.weights, decays, strict=True):
-                weight.grad.add_(weight.detach(), alpha=2 * decay)
-            bad = ~loss.detach().isfinite()
+            loss = set_gradients(
+                self.net, self.activation, self.log_noise, LOG_NOISE_RANGE,
+                x.gather(1, chosen.expand(-1, -1, x.shape[-1])), y.gather(1, chosen.expand(-1, -1, y.shape[-1])),
+                tuple(m if m is None else m[:, part] for m in masks), decays,
+            )  # fmt: skip
+            bad = ~loss.isfinite()
             if bad.any():
                 repairs += bad
                 for parameter in parameters:
@@ -211,7 +209,7 @@ class DropoutDynamics:
             adam.step()
             schedule.step()
             if step >= steps - tail:
-                late += loss.detach() / tail
+                late += loss / tail
         return late + self._penalty(decays), repairs
 
     def _check(self, inputs: Tensor, targets: Tensor) -> None:
@@ -253,10 +251,6 @@ class DropoutDynamics:
 
     def _log_noise(self) -> Tensor:
         return self.log_noise.clamp(*LOG_NOISE_RANGE)
-
-    def _loss(self, mean: Tensor, target: Tensor) -> Tensor:
-        log_noise = self._log_noise()
-        return (((target - mean) * (-log_noise).exp()) ** 2 / 2 + log_noise).sum(-1).mean(-1)
 
     def _penalty(self, decays: Sequence[float]) -> Tensor:
         return sum(d * w.detach().square().sum((1, 2)) for d, w in zip(decays, self.net.weights, strict=True))

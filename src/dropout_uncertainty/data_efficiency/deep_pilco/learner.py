@@ -124,6 +124,8 @@ CONFIGS: dict[str, DeepPilcoConfig] = {"deep-pilco-ours": OURS, "deep-pilco-as-w
 class DeepPilcoLearning:
     """R repetitions of Deep PILCO (thesis algorithms 3 and 4) in one batch; step 0 is the random trial."""
 
+    #: 2: the gradients of controller and network are worked out by hand.
+    ROUNDING = 2
     COUNTS = (
         "model_repairs",  # gradients that were not finite and left out, networks that had to begin anew
         "policy_repairs",  # gradients that were not finite and left out

@@ -1,7 +1,7 @@
 """A trial predicted by particles (thesis algorithm 4): act, move, fit a Gaussian, draw new particles from it.
 
-Everything that does not change during a trial is multiplied out before it. Gradients are autograd's: those written by
-hand were no faster. Replicas R first, then particles K.
+Everything that does not change during a trial is multiplied out before it. Gradients are autograd's;
+`trial_gradient` has them by hand for the common settings. Replicas R first, then particles K.
 """
 
 from dataclasses import dataclass

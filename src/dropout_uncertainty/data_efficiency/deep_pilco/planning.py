@@ -14,8 +14,9 @@ from jaxtyping import Float, Int
 from torch import Generator, Tensor
 
 from dropout_uncertainty import rng
+from dropout_uncertainty.data_efficiency.deep_pilco import trial_gradient
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DrawnFunction, DropoutDynamics
-from dropout_uncertainty.data_efficiency.deep_pilco.particles import COST_OF, MATCHING, Draws, predict
+from dropout_uncertainty.data_efficiency.deep_pilco.particles import COST_OF, MATCHING, Draws, multiplied_out, predict
 from dropout_uncertainty.data_efficiency.minimise import batched
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole
 from dropout_uncertainty.data_efficiency.policies import RBFController
@@ -144,9 +145,14 @@ def objective(
     """Return the predicted cost, averaged over times 1 ... T, and its gradient in the controller's parameters."""
     leaf = parameters.detach().requires_grad_()
     with torch.enable_grad():
-        prediction = predict(shape.controller(leaf), plant, draws, plan.matching)
-        value = prediction.costs(plant, plan.cost_of).mean(-1)
-        (gradient,) = torch.autograd.grad(value.sum(), leaf)
+        if trial_gradient.covers(draws, plan.matching, plan.cost_of):
+            matrix, weights = multiplied_out(shape.controller(leaf))
+            value, *gradients = trial_gradient.value_and_gradient(matrix.detach(), weights.detach(), plant, draws)
+            (gradient,) = torch.autograd.grad((matrix, weights), leaf, gradients)
+        else:
+            prediction = predict(shape.controller(leaf), plant, draws, plan.matching)
+            value = prediction.costs(plant, plan.cost_of).mean(-1)
+            (gradient,) = torch.autograd.grad(value.sum(), leaf)
     return value.detach(), gradient
 
 
