@@ -28,6 +28,8 @@ EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "exploration": ("dropout_uncertainty.exploration.experiment",),
     "data_efficiency": ("dropout_uncertainty.data_efficiency.configs",),
 }
+#: Seeds of one command.
+MOST_SEEDS = 100_000
 
 app = typer.Typer(
     help="Dropout uncertainty in action: make the book, run the experiments, look at the records.",
@@ -83,20 +85,22 @@ def run(
     """Compute the missing records of an experiment; a run that was stopped continues where it was."""
     from dropout_uncertainty.runs import execute, records
 
+    any_device = device == "auto"
     if scheduler is not None:
         if workers > 1:
             raise UserError("--workers are processes of this machine, --scheduler has workers of its own: choose one")
         device = known({"auto": "cpu"}.get(device, device), ("cpu", "cuda"), "device")  # of the cluster's workers
     options: dict[str, Any] = {"device": execute.check_device(device) if scheduler is None else device}
     if precision is not None:
-        execute.precision_dtype(precision)
-        options["precision"] = precision
+        options["precision"] = known(precision, execute.PRECISIONS, "precision")
+    # what was computed on the other device type counts, unless one is asked for
+    like = options | ({"device": None} if any_device else {})
     experiment = known(experiment.replace("-", "_"), EXPERIMENTS, "experiment")
     modules = config_modules(experiment)
     names, numbers = config_names(config, modules), seed_list(seeds)
 
     def missing(name: str) -> list[execute.Unit]:
-        left = records.missing_seeds(experiment, name, modules[name].CONFIGS[name], numbers)
+        left = records.missing_seeds(experiment, name, modules[name].CONFIGS[name], numbers, **like)
         return modules[name].units(name, left, **options) if left else []
 
     # Seed by seed, so that every config has its first repetition before any has its second.
@@ -123,10 +127,11 @@ def list_records() -> None:
         label = path.relative_to(records.root())
         if problem is None:
             origin = records.read(path).header["provenance"]
-            commit = (origin["commit"] or "unknown")[:8]
-            typer.echo(f"{label}  {origin['wall_s'] / 60:.1f} min  {origin['date'][:10]}  {commit}")
+            minutes = f"{origin['wall_s'] / 60:.1f} min" if "wall_s" in origin else "time unknown"
+            date, commit = (str(origin.get(key) or "unknown") for key in ("date", "commit"))
+            typer.echo(f"{label}  {minutes}  {date[:10]}  {commit[:8]}")
         else:
-            typer.echo(f"{label}  unreadable")
+            typer.echo(f"{label}  {problem}")
 
 
 @record_commands.command("verify")
@@ -135,14 +140,17 @@ def verify_records(
     seed: Annotated[int | None, typer.Option(help="of the drawing; default: today's date as a number")] = None,
     seconds: Annotated[float, typer.Option(help="CPU time for the first steps of each; 0: all its steps")] = 30.0,
 ) -> None:
-    """Check every stored record against its checksum, schema and config hash; recompute a few and compare."""
+    """Check every stored record against its checksums, place and config; recompute a few and compare."""
     from dropout_uncertainty.runs import records
 
     found = records.verify()
     problems = [problem for _, problem in found if problem is not None]
     for problem in problems:
         typer.echo(problem, err=True)
-    typer.echo(f"{len(found) - len(problems)} of {len(found)} records are intact")
+    typer.echo(
+        f"{len(found) - len(problems)} of {len(found)} records are intact: arrays and header agree with their "
+        "checksums, each is where its label says, and no seed of a config is in two"
+    )
     intact = [records.read(path) for path, problem in found if problem is None]
     failed = bool(problems)
     if recompute:
@@ -236,7 +244,10 @@ def seed_list(text: str) -> list[int]:
         match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
         if match is None or (match[2] is not None and int(match[2]) < int(match[1])):
             raise UserError(f"seeds are given like 0-4 or 0,3,7, got {text!r}")
-        seeds += range(int(match[1]), int(match[2] or match[1]) + 1)
+        part_seeds = range(int(match[1]), int(match[2] or match[1]) + 1)
+        if len(seeds) + len(part_seeds) > MOST_SEEDS:
+            raise UserError(f"at most {MOST_SEEDS:,} seeds can be asked for at a time, got {text!r}")
+        seeds += part_seeds
     return list(dict.fromkeys(seeds))
 
 
@@ -244,6 +255,6 @@ def main() -> None:
     """Run the command line; a mistake of the caller is one sentence and exit status 2, without a traceback."""
     try:
         app()
-    except (UserError, ValueError) as error:
+    except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

@@ -287,7 +287,7 @@ def test_bad_arguments_are_refused():
             start(SMALL, seeds)
     with pytest.raises(UserError, match="float32 or float64, not in 'bfloat16'"):
         start(SMALL, (100,), precision="bfloat16")
-    with pytest.raises(ValueError, match="unknown config"):
+    with pytest.raises(UserError, match="unknown config"):
         experiment.units("as-dreamt")
     with pytest.raises(ValueError, match="at least one agent"):
         world.World(np.zeros((1, 30, 3)), agents=0)

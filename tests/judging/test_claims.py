@@ -34,7 +34,7 @@ def write_row(folder, name, end, seed, *, tied=False, family="ours"):
     }  # fmt: skip
     header = {
         "experiment": "active_learning", "name": f"{family}/{name}", "seeds": [seed], "config": config,
-        "config_hash": records.config_hash(config), "provenance": {},
+        "config_hash": records.config_hash(config), "device": "cpu", "precision": "bfloat16", "provenance": {},
     }  # fmt: skip
     records.write(folder / "active_learning" / family / name / f"{seed:03d}.npz", arrays, header)
 

@@ -28,9 +28,11 @@ def two_records(tmp_path):
             "seeds": seeds,
             "config": records.config_dict(Config()),
             "config_hash": records.config_hash(Config()),
+            "device": "cpu",
+            "precision": "float32",
             "provenance": {**origin, "processor": "a machine", "wall_s": hours * 3600},
         }
-        path = tmp_path / "toy" / "ours" / f"{seeds[0]}.npz"
+        path = tmp_path / "toy" / "ours" / f"{records.file_name(seeds, 'cpu')}.npz"
         found.append(records.write(path, {"x": np.zeros(len(seeds))}, header))
     return found
 

@@ -57,7 +57,7 @@ def test_a_worker_killed_in_the_middle_of_a_unit_loses_nothing(tmp_path, schedul
         killer.join()
     assert len(killed) == 1
     assert found.header["provenance"]["interruptions"] == 1
-    assert found.header["checksum"] == execute.run_unit(unit, tmp_path / "alone").header["checksum"]
+    assert found.header["payload"] == execute.run_unit(unit, tmp_path / "alone").header["payload"]
     assert not list(tmp_path.glob(".partial/*.pt"))
 
 
@@ -71,7 +71,7 @@ def test_the_command_leaves_records_here_though_workers_have_disks_of_their_own(
     path = tmp_path / "here" / "toy" / "long" / "100-101.npz"
     assert str(path) in outcome.output
     (unit,) = toy.units("long", (100, 101))
-    assert records.read(path).header["checksum"] == execute.run_unit(unit, tmp_path / "alone").header["checksum"]
+    assert records.read(path).header["payload"] == execute.run_unit(unit, tmp_path / "alone").header["payload"]
     assert (tmp_path / "workers" / "toy" / "long" / "100-101.npz").exists()
 
 

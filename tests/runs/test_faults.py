@@ -37,7 +37,7 @@ from pathlib import Path
 from test_records import ARRAYS, header
 from dropout_uncertainty import records
 folder = Path({str(folder)!r})
-path = folder / "toy" / "100.npz"
+path = folder / "toy" / "ours" / "a" / "100-101.npz"
 def write(arrays=ARRAYS): return records.write(path, arrays, header())
 def kill(*_, **__): os.kill(os.getpid(), signal.SIGKILL)
 {body}"""
@@ -52,7 +52,7 @@ def files(folder):
 
 
 def test_of_many_writers_one_wins_and_the_others_hear_of_it(tmp_path):
-    path = tmp_path / "toy" / "100.npz"
+    path = tmp_path / "toy" / "ours" / "a" / "100-101.npz"
 
     def write(value):
         with contextlib.suppress(RecordError):
@@ -61,12 +61,12 @@ def test_of_many_writers_one_wins_and_the_others_hear_of_it(tmp_path):
     with ThreadPoolExecutor(8) as pool:
         winners = {value for value in pool.map(write, range(8)) if value is not None}
     assert winners == {records.read(path).arrays["x"][0]}
-    assert files(tmp_path) == ["100.npz"]
+    assert files(tmp_path) == ["100-101.npz"]
 
 
 @pytest.mark.parametrize("same", [True, False])
 def test_a_writer_that_comes_between(tmp_path, monkeypatch, same):
-    path, fsync = tmp_path / "toy" / "100.npz", os.fsync
+    path, fsync = tmp_path / "toy" / "ours" / "a" / "100-101.npz", os.fsync
     first = ARRAYS if same else {"x": np.ones(2)}
 
     def quicker(descriptor):
@@ -77,8 +77,8 @@ def test_a_writer_that_comes_between(tmp_path, monkeypatch, same):
     monkeypatch.setattr(os, "fsync", quicker)
     with contextlib.nullcontext() if same else pytest.raises(RecordError, match="already holds another result"):
         records.write(path, ARRAYS, header())
-    assert records.read(path).header["checksum"] == records.checksum(first)
-    assert files(tmp_path) == ["100.npz"]
+    assert records.read(path).header["payload"] == records.checksum(first)
+    assert files(tmp_path) == ["100-101.npz"]
 
 
 def test_a_disk_without_hard_links(tmp_path, monkeypatch):
@@ -86,11 +86,11 @@ def test_a_disk_without_hard_links(tmp_path, monkeypatch):
         raise OSError(errno.EPERM, "Operation not permitted")
 
     monkeypatch.setattr(os, "link", link)
-    path = tmp_path / "100.npz"
+    path = tmp_path / "toy" / "ours" / "a" / "100-101.npz"
     records.write(path, ARRAYS, header())
     with pytest.raises(RecordError):
         records.write(path, {"x": np.ones(2)}, header())
-    assert records.read(path).header["checksum"] == records.checksum(ARRAYS)
+    assert records.read(path).header["payload"] == records.checksum(ARRAYS)
 
 
 # --- kills
@@ -103,13 +103,13 @@ def test_a_disk_without_hard_links(tmp_path, monkeypatch):
 def test_a_kill_during_a_write_leaves_all_or_nothing(tmp_path, moment, survives):
     outcome = child(tmp_path, f"{moment}\nwrite()")
     assert outcome.returncode == -signal.SIGKILL, outcome.stderr
-    path = tmp_path / "toy" / "100.npz"
+    path = tmp_path / "toy" / "ours" / "a" / "100-101.npz"
     assert path.exists() == survives
-    assert files(tmp_path) != ["100.npz"], "the child left nothing behind: this test tests nothing"
+    assert files(tmp_path) != ["100-101.npz"], "the child left nothing behind: this test tests nothing"
     assert [problem for _, problem in records.verify(tmp_path)] == [None] * survives
     assert len(records.find("toy", folder=tmp_path)) == survives
     records.write(path, ARRAYS, header())
-    assert files(tmp_path) == ["100.npz"]
+    assert files(tmp_path) == ["100-101.npz"]
 
 
 # --- full disks
@@ -135,7 +135,7 @@ write()
     lines = outcome.stdout.splitlines()
     assert len(lines) == 5
     assert all("cannot write the record" in line and "is the disk full?" in line for line in lines)
-    assert records.read(tmp_path / "toy" / "100.npz").seeds == [100, 101]
+    assert records.read(tmp_path / "toy" / "ours" / "a" / "100-101.npz").seeds == [100, 101]
 
 
 def test_a_disk_that_fills_up_in_the_middle_of_a_run_keeps_the_last_checkpoint(tmp_path, monkeypatch):
@@ -157,7 +157,7 @@ def test_a_disk_that_fills_up_in_the_middle_of_a_run_keeps_the_last_checkpoint(t
     monkeypatch.setattr(execute, "_save", save)
     resumed = execute.run_unit(toy.unit(), tmp_path)
     assert resumed.header["provenance"]["interruptions"] == 1
-    assert resumed.header["checksum"] == execute.run_unit(toy.unit(), tmp_path / "other").header["checksum"]
+    assert resumed.header["payload"] == execute.run_unit(toy.unit(), tmp_path / "other").header["payload"]
 
 
 # --- records from a newer version
@@ -167,7 +167,7 @@ def test_a_record_from_a_newer_version_is_neither_read_nor_replaced(tmp_path):
     record = execute.run_unit(toy.unit(), tmp_path)
     rewrite(record.path, schema=records.SCHEMA + 1, checksum=["of", "another", "kind"])
     content = record.path.read_bytes()
-    message = "schema version 2, this program reads 1: use a version to match"
+    message = "schema version 3, this program reads 2: use a version to match"
     for attempt in (
         lambda: records.read(record.path),
         lambda: records.find("toy", folder=tmp_path),
@@ -187,7 +187,8 @@ def test_a_record_from_a_newer_version_is_neither_read_nor_replaced(tmp_path):
 def content():
     """Return the bytes of a record."""
     buffer = io.BytesIO()
-    full = {**header(), "schema": records.SCHEMA, "checksum": records.checksum(ARRAYS)}
+    full = {**header(), "schema": records.SCHEMA, "label": "toy/ours/a/100-101", "payload": records.checksum(ARRAYS)}
+    full["checksum"] = records.header_checksum(full)
     text = np.frombuffer(json.dumps(full).encode(), np.uint8)
     np.savez_compressed(buffer, **{records.HEADER: text}, **ARRAYS)
     return buffer.getvalue()
@@ -198,7 +199,7 @@ WHOLE = content()
 
 def check(folder, damaged):
     """Read the bytes as a record: a RecordError that names the file in one line, or exactly what was written."""
-    path = folder / "fuzzed.npz"
+    path = folder / "100-101.npz"
     path.write_bytes(damaged)
     try:
         with warnings.catch_warnings():
@@ -219,7 +220,9 @@ def check(folder, damaged):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("fuzzed")
+    made = tmp_path_factory.mktemp("fuzzed") / "toy" / "ours" / "a"
+    made.mkdir(parents=True)
+    return made
 
 
 def test_the_undamaged_bytes_are_read(folder):
@@ -262,13 +265,13 @@ def test_headers_that_say_anything(folder, data, whole):
     with np.load(io.BytesIO(WHOLE)) as archive:
         arrays = {name: archive[name] for name in archive.files}
     valid = json.loads(arrays.pop(records.HEADER).tobytes())
-    key = data.draw(st.sampled_from(["schema", "seeds", "config", "config_hash", "checksum", "provenance"]))
+    key = data.draw(st.sampled_from([*records.REQUIRED]))
     for wrong in (whole, {**valid, key: whole}, {k: v for k, v in valid.items() if k != key}):
         buffer = io.BytesIO()
         np.savez(buffer, **{records.HEADER: np.frombuffer(json.dumps(wrong).encode(), np.uint8)}, **arrays)
-        (folder / "said.npz").write_bytes(buffer.getvalue())
+        (folder / "100-101.npz").write_bytes(buffer.getvalue())
         with contextlib.suppress(RecordError):
-            record = records.read(folder / "said.npz")
+            record = records.read(folder / "100-101.npz")
             assert all(isinstance(record.header[name], kind) for name, kind in records.REQUIRED.items())
             assert record.header["config"] == CONFIG
 

@@ -18,13 +18,14 @@ CONFIG = {"rounds": 3, "drop": [0.25, 0.5]}
 def header(**changes):
     return {
         "experiment": "toy", "name": "ours/a", "seeds": [100, 101], "config": CONFIG,
-        "config_hash": records.config_hash(CONFIG), "provenance": {}, **changes,
+        "config_hash": records.config_hash(CONFIG), "device": "cpu", "precision": "float32",
+        "provenance": {}, **changes,
     }  # fmt: skip
 
 
 @pytest.fixture
 def path(tmp_path):
-    return records.write(tmp_path / "toy" / "ours" / "a" / "100.npz", ARRAYS, header()).path
+    return records.write(tmp_path / "toy" / "ours" / "a" / "100-101.npz", ARRAYS, header()).path
 
 
 def rewrite(path, **changes):
@@ -38,7 +39,7 @@ def rewrite(path, **changes):
 def test_what_is_written_comes_back(path, tmp_path):
     record = records.read(path)
     assert record.seeds == [100, 101]
-    assert record.label == "toy/ours/a/100.npz"
+    assert record.label == "toy/ours/a/100-101.npz"
     for name, array in ARRAYS.items():
         np.testing.assert_array_equal(record.arrays[name], array)
     assert [r.path for r in records.find("toy", CONFIG, folder=tmp_path)] == [path]
@@ -89,8 +90,22 @@ def test_a_record_is_never_replaced(path):
     ("changes", "message"),
     [
         ({"schema": 99}, "schema version 99"),
-        ({"checksum": "0" * 64}, "do not match their checksum"),
-        ({"config": {"rounds": 4}}, "does not match its hash"),
+        *(
+            (change, "header of .* does not match its checksum")
+            for change in (
+                {"checksum": "0" * 64},
+                {"config": {"rounds": 4}},
+                {"seeds": [100, 102]},
+                {"device": "cuda"},
+                {"precision": "float64"},
+                {"name": "ours/b"},
+                {"provenance": {"commit": "f" * 40}},
+                {"label": "a"},
+                {"experiment": "chess"},
+                {"extra": 1},
+            )
+        ),
+        ({"payload": "0" * 64}, "arrays of .* do not match their checksum"),
     ],
 )
 def test_an_edited_record_is_refused(path, changes, message):

@@ -9,11 +9,13 @@ import torch
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.errors import UserError
-from dropout_uncertainty.exploration.agent import CHUNK, Agent
+from dropout_uncertainty.exploration.agent import CHUNK, STATE_SIZE, Agent
 from dropout_uncertainty.exploration.config import BLOCK, NO_DROPOUT, AgentConfig, Config, check_seeds, make_policy
 from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.exploration.foraging.world import World
+from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = [
     "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "TWO_BY_TWO", "WIDE", "AgentConfig", "Config", "Foraging",
@@ -234,12 +236,20 @@ def start(config: Config, seeds: Sequence[int], device: str = "cpu", precision: 
     return Foraging(config, seeds, device=device, precision=precision)
 
 
-def units(name: str, seeds: Sequence[int] = tuple(range(10)), device: str = "cpu") -> list[Unit]:
-    """Return the work of a named config: one unit, as all seeds run together.
+def memory(config: Config) -> float:
+    """Return an estimate of the bytes that a repetition takes: its replay memories, and the copies for a checkpoint."""
+    held_out = config.memory // (config.held_out_every - 1) if config.held_out_every else 0
+    rows = 2 * (config.memory + held_out)
+    return 4.0 * len(config.agents) * rows * (STATE_SIZE + len(world.ACTIONS)) * 5
 
-    Raises:
-        ValueError: if there is no config of that name.
-    """
-    if name not in CONFIGS:
-        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
-    return [Unit(EXPERIMENT, name, start, CONFIGS[name], tuple(seeds), device)]
+
+SWEEP = Sweep(
+    EXPERIMENT, CONFIGS, start, ("float32", "float64"), {"cpu": 20, "cuda": 40}, repetitions=10, memory=memory
+)
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units([SWEEP], name, seeds, device, precision)

@@ -95,10 +95,10 @@ def build(profile: str = "recorded", *, run: bool = True) -> Path:
 
 def _run_notebooks(profile: str, names: Sequence[str] | None) -> dict[str, float]:
     if profile not in PROFILES:
-        raise ValueError(f"unknown profile {profile!r}, choose one of {', '.join(PROFILES)}")
+        raise UserError(f"unknown profile {profile!r}, choose one of {', '.join(PROFILES)}")
     known = notebooks()
     if unknown := [name for name in names or () if name not in known]:
-        raise ValueError(f"there is no notebook {unknown[0]!r}, choose from {', '.join(known)}")
+        raise UserError(f"there is no notebook {unknown[0]!r}, choose from {', '.join(known)}")
     if names is None:
         shutil.rmtree(EXECUTED, ignore_errors=True)
     shutil.rmtree(RUNNING, ignore_errors=True)

@@ -23,6 +23,7 @@ from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.report import analysis as active_learning
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as what_matters
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.foraging import drawing
 from dropout_uncertainty.exploration.foraging import world as w
 from dropout_uncertainty.exploration.report import analysis as exploration
@@ -117,7 +118,7 @@ def readme(text: str, found: Iterable[Result] | None = None) -> str:
         ValueError: if the marks are missing.
     """
     if not (BEGIN in text and END in text):
-        raise ValueError(f"the README must hold the lines {BEGIN!r} and {END!r}, between which the numbers are written")
+        raise UserError(f"the README must hold the lines {BEGIN!r} and {END!r}, between which the numbers are written")
     found = collect() if found is None else list(found)
     heads, rows = numbers(found, "notebooks/{}.ipynb")
     grid = "\n".join("| " + " | ".join(row) + " |" for row in [heads, [":---"] * len(heads), *rows])
@@ -383,7 +384,7 @@ def write(folder: Path | None = None) -> list[str]:
 
 def _svg(title: str, records: Sequence[Record], body: str, style: str = "") -> str:
     width, height = SIZE
-    made = "Made from " + " and ".join(f"{record.label} {record.header['checksum'][:16]}" for record in records)
+    made = "Made from " + " and ".join(f"{record.label} {record.header['payload'][:16]}" for record in records)
     return SVG.format(width=width, height=height, title=escape(title), origin=escape(made), style=style, body=body)
 
 

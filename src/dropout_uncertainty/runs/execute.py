@@ -27,8 +27,8 @@ from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record, RecordError
 
 __all__ = [
-    "Process", "RunError", "Unit", "check_device", "cluster", "precision_dtype", "processes", "rounding", "run",
-    "run_unit",
+    "Process", "RunError", "Unit", "check_device", "cluster", "differing", "precision_dtype", "processes",
+    "rounding", "run", "run_unit",
 ]  # fmt: skip
 
 #: Seconds between checkpoints; a kill loses at most this much work and the step under way.
@@ -77,12 +77,21 @@ class Unit:
     seeds: tuple[int, ...]
     device: str = "cpu"
     precision: str = "float32"
+    published: str | None = None  # the section's own precision; None: that of the unit
+    memory: float = 0.0  # bytes at the height of the work, an estimate; 0: not known
+
+    def __post_init__(self) -> None:
+        if not self.seeds or len(set(self.seeds)) != len(self.seeds) or min(self.seeds) < 0:
+            raise RunError(f"a unit needs seeds that differ, none below 0: got {list(self.seeds)}")
 
     @property
     def label(self) -> str:
-        """Path of the unit's record below the records folder, without suffix."""
-        seeds = f"{self.seeds[0]:03d}" if len(self.seeds) == 1 else f"{self.seeds[0]:03d}-{self.seeds[-1]:03d}"
-        return f"{self.experiment}/{self.name}/{seeds}"
+        """Path of the unit's record below the records folder, without suffix; it shows all of its identity.
+
+        Of the precision and the device type only what is not the section's own and not a CPU (`records.file_name`).
+        """
+        other = self.precision if self.published not in (None, self.precision) else None
+        return f"{self.experiment}/{self.name}/{records.file_name(self.seeds, self.identity['device'], other)}"
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -98,9 +107,9 @@ class Unit:
 
 
 def precision_dtype(name: str) -> torch.dtype:
-    """Return the dtype of a precision; raises ValueError if it is not float64, float32 or bfloat16."""
+    """Return the dtype of a precision; raises RunError if it is not float64, float32 or bfloat16."""
     if name not in PRECISIONS:
-        raise ValueError(f"unknown precision {name!r}, choose one of {', '.join(PRECISIONS)}")
+        raise RunError(f"unknown precision {name!r}, choose one of {', '.join(PRECISIONS)}")
     return PRECISIONS[name]
 
 
@@ -111,6 +120,26 @@ def check_device(name: str) -> str:
     if name == "cuda" and not torch.cuda.is_available():
         raise RunError("device cuda was asked for, but PyTorch finds no CUDA GPU here: use --device cpu")
     return "cuda" if name != "cpu" and torch.cuda.is_available() else "cpu"
+
+
+def check_memory(unit: Unit) -> None:
+    """Raise RunError if a unit is estimated to take more memory than its device has left."""
+    free = free_memory(unit.device)
+    if free is not None and unit.memory > free:
+        raise RunError(
+            f"{unit.label} takes about {unit.memory / 1e9:.1f} GB of memory for {len(unit.seeds)} seeds, and "
+            f"{free / 1e9:.1f} GB are free: ask for fewer seeds at a time, or use fewer workers"
+        )
+
+
+def free_memory(device: str = "cpu") -> float | None:
+    """Return how many bytes a device type has left, None where the system does not say."""
+    if torch.device(device).type == "cuda":
+        return torch.cuda.mem_get_info()[0]
+    with contextlib.suppress(OSError, StopIteration):
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        return 1024.0 * int(next(line for line in lines if line.startswith("MemAvailable")).split()[1])
+    return None
 
 
 def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False) -> Record:
@@ -130,6 +159,7 @@ def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False) -> 
         with FileLock(partial.with_suffix(".lock"), timeout=0):
             if path.exists():
                 return _existing(path, unit)
+            check_memory(unit)
             return _compute(unit, path, partial, progress)
     except Timeout:
         raise RunError(f"another process is computing {unit.label}: wait for it, or stop it") from None
@@ -206,11 +236,18 @@ def _path(unit: Unit, folder: Path) -> Path:
 
 def _existing(path: Path, unit: Unit) -> Record:
     record = records.read(path)
-    if record.header["config_hash"] != records.config_hash(unit.config):
+    if other := differing(unit, record):
         raise RunError(
-            f"{path} was made with another config {unit.name!r}: move it away, or give your config a new name"
+            f"{path} was made with another {' and '.join(other)} than is asked for: "
+            "move it away, or give your config a new name"
         )
     return record
+
+
+def differing(unit: Unit, record: Record) -> list[str]:
+    """Return in what the identity of a unit differs from that of a record, in words."""
+    keys = [key for key, value in unit.identity.items() if record.header.get(key) != value]
+    return ["config" if key == "config_hash" else key for key in keys]
 
 
 def _digest(unit: Unit) -> str:

@@ -15,7 +15,7 @@ import torch
 from tqdm.auto import tqdm
 
 from dropout_uncertainty.runs import records
-from dropout_uncertainty.runs.execute import Process, Unit, check_device, rounding
+from dropout_uncertainty.runs.execute import Process, Unit, check_device, differing, rounding
 from dropout_uncertainty.runs.records import Record
 
 __all__ = ["Comparison", "choose", "recompute"]
@@ -85,9 +85,8 @@ def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: boo
     Raises:
         ValueError: if ``record`` is not that of the unit.
     """
-    differing = [key for key, value in unit.identity.items() if record.header.get(key) != value]
-    if differing:
-        raise ValueError(f"{record.label} is not the record of {unit.label}: other {', '.join(differing)}")
+    if other := differing(unit, record):
+        raise ValueError(f"{record.label} is not the record of {unit.label}: other {', '.join(other)}")
     device = check_device("auto") if unit.device == "cuda" else "cpu"
     origin = {"rounding": 1, **record.header["provenance"]}
     with _threads(origin.get("threads", 1)):

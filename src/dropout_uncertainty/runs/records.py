@@ -1,8 +1,8 @@
 """Records: one ``.npz`` file per finished unit of work, with its provenance inside.
 
 A record is written once, atomically, and never overwritten. It holds plain arrays (no pickles) and a JSON header with
-config, seeds, versions, times and a checksum of the arrays. Reading verifies all of it: what cannot be trusted is a
-``RecordError`` that names the file and what to do.
+config, seeds, versions, times, its place below the records folder, and a checksum of all that. Reading verifies it:
+what cannot be trusted is a ``RecordError`` that names the file and what to do.
 """
 
 import contextlib
@@ -11,14 +11,15 @@ import datetime
 import errno
 import hashlib
 import io
+import itertools
 import json
 import os
 import platform
 import subprocess
 import tempfile
 import zipfile
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -28,21 +29,24 @@ import numpy as np
 from dropout_uncertainty.errors import UserError
 
 __all__ = [
-    "Record", "RecordError", "checksum", "config_dict", "config_diff", "config_hash", "find", "missing_seeds",
-    "provenance", "read", "root", "table", "verify", "write",
+    "Record", "RecordError", "checksum", "config_dict", "config_diff", "config_hash", "file_name", "find",
+    "header_checksum", "missing_seeds", "provenance", "read", "root", "table", "verify", "write",
 ]  # fmt: skip
 
 # of the repository, whatever folder the records of a run go to
 OWN = Path(__file__).resolve().parents[3] / "records"
-SCHEMA = 1
+SCHEMA = 2
 HEADER = "header.json"
 #: What systems say on a disk without hard links.
 NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
+#: Longest list of seeds in the name of a file.
+LONGEST = 60
+REMEDY = "restore it from version control, or delete it and run its unit again"
 #: Equal to no value of a config.
 _NEVER = object()
 REQUIRED = {
-    "schema": int, "experiment": str, "name": str, "seeds": list, "config": dict, "config_hash": str, "checksum": str,
-    "provenance": dict,
+    "schema": int, "label": str, "experiment": str, "name": str, "seeds": list, "device": str, "precision": str,
+    "config": dict, "config_hash": str, "provenance": dict, "payload": str, "checksum": str,
 }  # fmt: skip
 
 
@@ -67,6 +71,11 @@ class Record:
     def label(self) -> str:
         """Path of the file below the records folder."""
         return f"{self.header['experiment']}/{self.header['name']}/{self.path.name}"
+
+    @property
+    def published_precision(self) -> bool:
+        """Whether it was computed in its section's own precision, so that its name does not say which."""
+        return self.header["precision"] not in self.path.name.split(".")
 
 
 def root() -> Path:
@@ -120,13 +129,35 @@ def _before(config: Any) -> dict[str, Any]:
 
 
 def checksum(arrays: Mapping[str, np.ndarray]) -> str:
-    """Return the SHA-256 over names, dtypes, shapes and bytes of the arrays; the same arrays give the same value."""
+    """Return the SHA-256 over names, dtypes, shapes and bytes of arrays, the ``payload`` of a header."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         digest.update(f"{name} {array.dtype.str} {array.shape};".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
+
+
+def header_checksum(header: Mapping[str, Any]) -> str:
+    """Return the SHA-256 over all of a header but its ``checksum``; the arrays count by their ``payload``."""
+    content = {key: value for key, value in header.items() if key != "checksum"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def file_name(seeds: Sequence[int], device: str, precision: str | None = None) -> str:
+    """Return what a record is called, without ``.npz``: its seeds, and what else is out of the ordinary.
+
+    Seeds are "007", "000-009" if they follow each other, and otherwise such lists as "000-002+005", shortened to first,
+    last and eight digits of a hash beyond ``LONGEST`` characters. ``precision`` is left out where it is the section's,
+    ``device`` where it is "cpu".
+    """
+    starts = [i for i, seed in enumerate(seeds) if i == 0 or seed != seeds[i - 1] + 1]
+    runs = [seeds[start:stop] for start, stop in itertools.pairwise([*starts, len(seeds)])]
+    listed = "+".join(f"{run[0]:03d}" if len(run) == 1 else f"{run[0]:03d}-{run[-1]:03d}" for run in runs)
+    if len(listed) > LONGEST:
+        digest = hashlib.sha256(listed.encode()).hexdigest()[:8]
+        listed = f"{seeds[0]:03d}-{seeds[-1]:03d}+{digest}"
+    return ".".join([listed, *([precision] if precision else []), *([device] if device != "cpu" else [])])
 
 
 @cache
@@ -184,16 +215,20 @@ def _processor_family() -> str:
 
 
 def write(path: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> Record:
-    """Write a record and return it; schema version and checksum are added to ``header``.
+    """Write a record and return it; schema version, label and checksums are added to ``header``.
 
     The file appears under its name complete or not at all. If a record with the same arrays is already there it is left
     alone.
 
     Raises:
-        RecordError: if another result is already at ``path``, or the file cannot be written.
+        RecordError: if another result is already at ``path``, the header is of another experiment or config than the
+            path, or the file cannot be written.
     """
     arrays = {name: np.asarray(array) for name, array in arrays.items()}
-    full = {**header, "schema": SCHEMA, "checksum": checksum(arrays)}
+    label = f"{header['experiment']}/{header['name']}/{_stem(path)}"
+    full = json.loads(json.dumps({**header, "schema": SCHEMA, "label": label, "payload": checksum(arrays)}))
+    full["checksum"] = header_checksum(full)
+    _check_place(path, full)
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -212,7 +247,7 @@ def write(path: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any
     record = read(path)
     for leftover in path.parent.glob(f".{path.name}-*"):  # of writers that were killed, or came too late
         leftover.unlink(missing_ok=True)
-    if record.header["checksum"] != full["checksum"]:
+    if any(record.header[key] != full[key] for key in ("payload", "config_hash", "seeds")):
         raise RecordError(f"{path} already holds another result; move it away if you want to replace it")
     return record
 
@@ -229,35 +264,57 @@ def _publish(temporary: Path, path: Path) -> None:
             temporary.rename(path)
 
 
-def read(path: Path | str) -> Record:
-    """Return the record at ``path`` after verifying it.
+def read(path: Path | str, folder: Path | None = None) -> Record:
+    """Return the record at ``path`` after verifying it; ``folder`` is the records folder, if that is known.
 
     Raises:
-        RecordError: if it is missing, damaged, altered, or of another schema version.
+        RecordError: if it is missing, damaged, altered, not where it belongs, or of another schema version.
     """
     path = Path(path)
-    remedy = "restore it from version control, or delete it and run its unit again"
     try:
         header, arrays = _parse(path)
     except FileNotFoundError:
         raise RecordError(f"there is no record {path}") from None
     except Exception as error:  # NumPy, zipfile and json do not say what damaged bytes make them raise
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise RecordError(f"the record {path} cannot be read ({reason}): {remedy}") from error
+        raise RecordError(f"the record {path} cannot be read ({reason}): {REMEDY}") from error
     if header.get("schema") != SCHEMA:
         raise RecordError(
             f"the record {path} has schema version {header.get('schema')}, this program reads {SCHEMA}: "
             "use a version to match"
         )
     if missing := [key for key in REQUIRED if key not in header]:
-        raise RecordError(f"the header of {path} lacks {', '.join(missing)}: {remedy}")
+        raise RecordError(f"the header of {path} lacks {', '.join(missing)}: {REMEDY}")
     if wrong := [key for key, kind in REQUIRED.items() if not isinstance(header[key], kind)]:
-        raise RecordError(f"the header of {path} has {', '.join(wrong)} of another type than expected: {remedy}")
-    if header["checksum"] != checksum(arrays):
-        raise RecordError(f"the arrays of {path} do not match their checksum: {remedy}")
+        raise RecordError(f"the header of {path} has {', '.join(wrong)} of another type than expected: {REMEDY}")
+    if header["payload"] != checksum(arrays):
+        raise RecordError(f"the arrays of {path} do not match their checksum: {REMEDY}")
+    if header["checksum"] != header_checksum(header):
+        raise RecordError(f"the header of {path} does not match its checksum: {REMEDY}")
     if header["config_hash"] != config_hash(header["config"]):
-        raise RecordError(f"the config of {path} does not match its hash: {remedy}")
+        raise RecordError(f"the config of {path} does not match its hash: {REMEDY}")
+    _check_place(path, header, folder)
     return Record(header, arrays, path)
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(".npz")
+
+
+def _check_place(path: Path, header: Mapping[str, Any], folder: Path | None = None) -> None:
+    """Raise RecordError unless a file is where its header says: below ``folder``, or if that is None, anywhere."""
+    *parts, name = f"{header['label']}.npz".split("/")
+    place = path.relative_to(folder).parts if folder else path.absolute().parts[-len(parts) - 1 :]
+    if place != (*parts, name):
+        raise RecordError(f"{path} is the record {header['label']}.npz: give it back its name, or delete it if a copy")
+    seeds, device, precision = (header[key] for key in ("seeds", "device", "precision"))
+    names = [f"{file_name(seeds, device, other)}.npz" for other in (None, precision)]
+    if parts != [header["experiment"], *header["name"].split("/")] or name not in names:
+        raise RecordError(f"{path} is called otherwise than what it holds, {names[0]} of {header['name']}: {REMEDY}")
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*.npz") if not path.name.startswith("."))
 
 
 def _parse(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -271,40 +328,106 @@ def _parse(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return header, arrays
 
 
-def find(experiment: str, config: Any = None, *, name: str | None = None, folder: Path | None = None) -> list[Record]:
+def find(
+    experiment: str,
+    config: Any = None,
+    *,
+    name: str | None = None,
+    folder: Path | None = None,
+    precision: str | None = None,
+    device: str | None = None,
+) -> list[Record]:
     """Return the records of an experiment, ordered by path; optionally of one named config or one config's content.
 
+    No seed of a config comes twice. Only records in the section's own precision count, unless another ``precision`` is
+    asked for, and those of every device type, unless one is ("cpu" or "cuda"): a record all of whose seeds have been
+    computed on the other type too is left out, that of the GPU first.
+
     Raises:
-        RecordError: if one of them cannot be trusted.
+        RecordError: if one of them cannot be trusted, seeds come twice, or configs of one name differ.
     """
-    base = (folder or root()) / experiment / (name or "")
-    found = [read(path) for path in sorted(base.rglob("*.npz")) if not path.name.startswith(".")]
+    folder = folder or root()
+    found = [read(path, folder) for path in _files(folder / experiment / (name or ""))]
     if name is not None:
         found = [record for record in found if record.header["name"] == name]
     if config is not None:
         found = [record for record in found if record.header["config_hash"] == config_hash(config)]
-    return found
+    if precision is None:
+        found = [record for record in found if record.published_precision]
+    else:
+        found = [record for record in found if record.header["precision"] == precision]
+    if device is not None:
+        found = [record for record in found if record.header["device"] == device]
+    counted = _counted(found)
+    if clash := _clash(counted):
+        raise RecordError(clash[1])
+    return counted
+
+
+def _same(first: Record, second: Record) -> bool:
+    return all(first.header[key] == second.header[key] for key in ("experiment", "name", "precision"))
+
+
+def _counted(found: Sequence[Record]) -> list[Record]:
+    """Return the records without those whose seeds are all in others from another device type, GPUs first to go."""
+    counted = list(found)
+    for record in sorted(found, key=lambda r: r.header["device"] == "cpu"):
+        others = [r for r in counted if _same(r, record) and r.header["device"] != record.header["device"]]
+        if set(record.seeds) <= {seed for other in others for seed in other.seeds}:
+            counted.remove(record)
+    return counted
+
+
+def _clash(found: Sequence[Record]) -> tuple[Record, str] | None:
+    """Return the first record that cannot count beside an earlier one, and a sentence that says why and what to do."""
+    for second, first in ((b, a) for i, b in enumerate(found) for a in found[:i] if _same(a, b)):
+        if first.header["config_hash"] != second.header["config_hash"]:
+            changed = ", ".join(key for key, *_ in config_diff(first.header["config"], second.header["config"]))
+            problem = f"are of one name, but of configs that differ ({changed})"
+        elif shared := sorted(set(first.seeds) & set(second.seeds)):
+            problem = f"both hold the seeds {file_name(shared, 'cpu')}"
+        else:
+            continue
+        return second, f"{first.path} and {second.path} {problem}: move one of them out of the records folder"
+    return None
 
 
 def missing_seeds(
-    experiment: str, name: str, config: Any, seeds: Iterable[int], folder: Path | None = None
+    experiment: str,
+    name: str,
+    config: Any,
+    seeds: Iterable[int],
+    folder: Path | None = None,
+    *,
+    precision: str | None = None,
+    device: str | None = None,
 ) -> list[int]:
     """Return the seeds that no record of this config has yet, whatever the units that its records were made in.
+
+    As in ``find``, precision None is the section's own, and device None is any.
 
     Raises:
         RecordError: if one of the records cannot be trusted.
     """
-    have = {seed for record in find(experiment, config, name=name, folder=folder) for seed in record.seeds}
+    found = find(experiment, config, name=name, folder=folder, precision=precision, device=device)
+    have = {seed for record in found for seed in record.seeds}
     return [seed for seed in seeds if seed not in have]
 
 
 def verify(folder: Path | None = None) -> list[tuple[Path, str | None]]:
     """Return every record file below ``folder`` with None, or the sentence that says what is wrong with it."""
-    results: list[tuple[Path, str | None]] = []
-    for path in sorted((folder or root()).rglob("*.npz")):
+    folder = folder or root()
+    results: dict[Path, str | None] = {}
+    intact = []
+    for path in _files(folder):
         try:
-            read(path)
-            results.append((path, None))
+            record = read(path, folder)
+            results[path] = None
+            intact.append(replace(record, arrays={}))
         except RecordError as error:
-            results.append((path, str(error)))
-    return results
+            results[path] = str(error)
+    counted = _counted(intact)
+    while clash := _clash(counted):
+        counted.remove(clash[0])
+        results[clash[0].path] = clash[1]
+    return list(results.items())

@@ -14,6 +14,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco import planning
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.rng import generator
 from dropout_uncertainty.runs import records
 
@@ -78,7 +79,7 @@ def test_the_command_line_knows_the_family():
         assert modules[name] is variants
         (unit,) = variants.units(name, range(10))
         assert unit.label == f"data_efficiency/{name}/000-009"
-    with pytest.raises(ValueError, match="unknown config 'what-matters/nothing'"):
+    with pytest.raises(UserError, match="unknown config 'what-matters/nothing'"):
         variants.units("what-matters/nothing")
 
 

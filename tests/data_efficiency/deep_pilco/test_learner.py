@@ -13,6 +13,7 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, derivative
 from dropout_uncertainty.data_efficiency.plant.cost import cost
 from dropout_uncertainty.data_efficiency.policies import force
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
 
 #: Two short trials with the least work that goes through every part.
@@ -181,7 +182,7 @@ def test_published_records_fit_into_five_megabytes():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(ValueError, match="unknown config 'deep', choose one of deep-pilco-ours"):
+    with pytest.raises(UserError, match="unknown config 'deep', choose one of deep-pilco-ours"):
         experiment.units("deep")
     with pytest.raises(ValueError, match="at least one seed"):
         experiment.start(SHORT, ())

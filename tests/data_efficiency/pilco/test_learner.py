@@ -205,7 +205,7 @@ def test_record_says_where_the_computing_time_went(tmp_path):
 
 
 def test_bad_input_is_named():
-    with pytest.raises(ValueError, match=r"unknown config 'pilco', choose one of pilco-paper, pilco-matlab"):
+    with pytest.raises(execute.RunError, match=r"unknown config 'pilco', choose one of pilco-paper, pilco-matlab"):
         learner.units("pilco")
     with pytest.raises(ValueError, match="at least one seed"):
         learner.start(SHORT, ())

@@ -45,7 +45,7 @@ def write(folder, first, name="pilco-paper", **options):
     config = records.config_dict(CONFIGS[name])
     header = {
         "experiment": "data_efficiency", "name": name, "seeds": list(range(len(first))), "config": config,
-        "config_hash": records.config_hash(config), "device": "cpu",
+        "config_hash": records.config_hash(config), "device": "cpu", "precision": "float64",
         "provenance": {f"{part}_cpu_s": [6.0] * (TRIALS + 1) for part in ("model", "policy", "trial")},
     }  # fmt: skip
     arrays32 = {name: value.astype(np.float32) for name, value in arrays(first, **options).items()}
@@ -159,6 +159,7 @@ def write_deep(folder, config="deep-pilco-ours", **options):
     header = {
         "experiment": "data_efficiency", "name": config, "seeds": list(range(len(found["costs"]))),
         "config": settings, "config_hash": records.config_hash(settings), "device": "cpu",
+        "precision": "float32",
         "provenance": {
             "model_cpu_s": [3000.0], "policy_cpu_s": [4000.0], "trial_cpu_s": [200.0], "processor": "a processor",
         },
@@ -220,7 +221,7 @@ def test_every_setting_that_was_tried_is_in_the_table(tmp_path):
         settings = records.config_dict(CONFIGS[name])
         header = {
             "experiment": "data_efficiency", "name": name, "seeds": list(range(100, 108)), "config": settings,
-            "config_hash": records.config_hash(settings), "provenance": {},
+            "config_hash": records.config_hash(settings), "device": "cpu", "precision": "float32", "provenance": {},
         }  # fmt: skip
         arrays = {"costs": deep_arrays(12)["costs"]}
         records.write(tmp_path / "data_efficiency" / name / "100-107.npz", arrays, header)

@@ -48,7 +48,7 @@ def write(folder, name, shapes, seeds=range(RUNS)):
     plain = records.config_dict(config)
     header = {
         "experiment": "exploration", "name": name, "seeds": list(seeds), "config": plain,
-        "config_hash": records.config_hash(plain), "provenance": {},
+        "config_hash": records.config_hash(plain), "device": "cpu", "precision": "float32", "provenance": {},
     }  # fmt: skip
     records.write(folder / "exploration" / name / f"{min(seeds):03d}-{max(seeds):03d}.npz", arrays, header)
 

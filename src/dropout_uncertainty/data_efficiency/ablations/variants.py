@@ -13,10 +13,13 @@ from typing import Any
 from dropout_uncertainty.bayes import Masks
 from dropout_uncertainty.data_efficiency.ablations.probes import Mechanism, MechanismConfig
 from dropout_uncertainty.data_efficiency.ablations.scaling import Scaling, ScalingConfig
+from dropout_uncertainty.data_efficiency.deep_pilco import learner
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, SearchRun
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, groups
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
+from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = ["CONFIGS", "FAMILY", "TRIALS", "VARIANTS", "Variant", "VariantConfig", "VariantRun", "start", "units"]
 
@@ -27,7 +30,7 @@ TRIALS = 20
 
 @dataclass(frozen=True)
 class VariantConfig(DeepPilcoConfig):
-    """The learner of `deep_pilco_experiment` with one more choice."""
+    """The learner of `deep_pilco.learner` with one more choice."""
 
     doubt: bool = True
     """The controller is improved on draws of the weights. Otherwise on the mean network (weight scaling): a model that
@@ -147,14 +150,25 @@ def start(
     return VariantRun(config, seeds, device, dtype)
 
 
-def units(
-    name: str, seeds: Sequence[int] = tuple(range(10)), device: str = "cpu", precision: str = "float32"
-) -> list[Unit]:
-    """Return the work of a named config, cut as that of Deep PILCO is.
+def memory(config: VariantConfig | MechanismConfig | ScalingConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes; sizes are timed one repetition after the other."""
+    if isinstance(config, ScalingConfig):
+        return 8.0 * 10 * max(config.pilco_sizes[0]) ** 2 * 8
+    return learner.memory(config)
 
-    Raises:
-        ValueError: if there is no config of that name.
-    """
-    if name not in CONFIGS:
-        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
-    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, precision) for group in groups(seeds, device)]
+
+#: Times are those of a CPU.
+SWEEPS = [
+    Sweep(EXPERIMENT, configs, start, ("float32", "float64"), group, repetitions=10, memory=memory)
+    for configs, group in (
+        ({name: config for name, config in CONFIGS.items() if config is not SCALING}, GROUP),
+        ({f"{FAMILY}/scaling": SCALING}, {"cpu": GROUP["cpu"]}),
+    )
+]
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units(SWEEPS, name, seeds, device, precision)

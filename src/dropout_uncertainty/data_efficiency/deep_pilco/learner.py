@@ -14,11 +14,13 @@ from dropout_uncertainty.data_efficiency import policies
 from dropout_uncertainty.data_efficiency.deep_pilco import particles, planning
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import Planning
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, groups
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole, Rollout
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
+from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = ["AS_WRITTEN", "CONFIGS", "OURS", "SEARCH", "DeepPilcoConfig", "DeepPilcoLearning", "start", "units"]
 
@@ -335,15 +337,23 @@ def _dtype(precision: str) -> torch.dtype:
     return precision_dtype(precision)
 
 
-def units(
-    name: str, seeds: Sequence[int] = tuple(range(40)), device: str = "cpu", precision: str = "float32"
-) -> list[Unit]:
-    """Return the work of a named config, in batches of ``GROUP`` seeds.
+def memory(config: DeepPilcoConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes: a predicted trial of the particles and its gradient."""
+    wide = sum(config.hidden) + config.basis
+    return 8.0 * config.plant.steps * max(config.particles, PREDICTED) * wide * 8
 
-    Raises:
-        ValueError: if there is no config of that name.
-    """
-    if name not in CONFIGS:
-        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
-    begin = start_search if name in SEARCH else start
-    return [Unit(EXPERIMENT, name, begin, CONFIGS[name], group, device, precision) for group in groups(seeds, device)]
+
+SWEEPS = [
+    Sweep(EXPERIMENT, configs, begin, ("float32", "float64"), GROUP, repetitions=40, memory=memory)
+    for configs, begin in (
+        ({name: config for name, config in CONFIGS.items() if name not in SEARCH}, start),
+        (SEARCH, start_search),
+    )
+]
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units(SWEEPS, name, seeds, device, precision)

@@ -13,15 +13,16 @@ from torch import Generator, Tensor
 from dropout_uncertainty import rng
 from dropout_uncertainty.data_efficiency import policies
 from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import SquaredExponential
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, groups
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.pilco import planning
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
-from dropout_uncertainty.runs import records
+from dropout_uncertainty.runs import records, sweep
 from dropout_uncertainty.runs.execute import Unit
 from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = [
     "CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer",
@@ -315,15 +316,24 @@ def _seconds(part: str, found: Sequence[Record]) -> list[float]:
     return np.sum(shares, 0).tolist()
 
 
-def units(
-    name: str, seeds: Sequence[int] = tuple(range(40)), device: str = "cpu", precision: str = "float64"
-) -> list[Unit]:
-    """Return the work of a named config, cut as Deep PILCO's is.
+def memory(config: PilcoConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes: matrices between all data, of all pairs of outputs."""
+    data = config.trials * config.plant.steps
+    data = min(data, config.inducing) if config.inducing else data
+    return 8.0 * 10 * data**2 * 8
 
-    Raises:
-        ValueError: if there is no config of that name.
-    """
-    if name not in CONFIGS:
-        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
-    begin = start_longer if name in LONGER else start
-    return [Unit(EXPERIMENT, name, begin, CONFIGS[name], group, device, precision) for group in groups(seeds, device)]
+
+SWEEPS = [
+    Sweep(EXPERIMENT, configs, begin, ("float64",), GROUP, repetitions=40, memory=memory)
+    for configs, begin in (
+        ({name: config for name, config in CONFIGS.items() if name not in LONGER}, start),
+        (LONGER, start_longer),
+    )
+]
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units(SWEEPS, name, seeds, device, precision)

@@ -2,7 +2,7 @@
 
 Steps of the algorithm and where they are: 4 run a trial (``cartpole.rollout``), 5 train the dynamics model
 (``train_model``), 6 predict state distributions (``predict``), 7 expected cost and its gradient
-(``expected_costs``), 8 improve the controller (``improve``). ``experiment`` joins them. float64, replicas R first.
+(``expected_costs``), 8 improve the controller (``improve``). ``learner`` joins them. float64, replicas R first.
 The model is evaluated on the device that holds its data; parameters stay on the CPU, where the optimisers are.
 """
 

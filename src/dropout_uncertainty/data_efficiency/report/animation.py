@@ -1,4 +1,4 @@
-"""Trials of the cart-pole, and what was predicted of them, as animations for a page (see ``player``)."""
+"""Trials of the cart-pole, and what was predicted of them, as animations for a page (see ``page.svg_animation``)."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""Trained agents in the 2D world, as an animation for a page (see ``player``)."""
+"""Trained agents in the 2D world, as an animation for a page (see ``page.svg_animation``)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Figure 5.4 and what stands beside it: curves of agents in, axes out. Figure 5.3 is in ``drawing``."""
+"""Figure 5.4 and what stands beside it: curves of agents in, axes out. Figure 5.3 is in ``foraging.drawing``."""
 
 import itertools
 from collections.abc import Mapping, Sequence

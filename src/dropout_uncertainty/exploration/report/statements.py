@@ -1,8 +1,8 @@
 """Claims EX1-EX6 of section 5.3 as code: quantity, rule, verdict.
 
-The rules of ``results`` were fixed before the published runs. How the quantities are computed here (medians over runs,
-ranges of ticks) was written when the runs of Thompson sampling and ε-greedy in separate worlds were known, and before
-those of all other configs.
+The rules of ``judging.results`` were fixed before the published runs. How the quantities are computed here (medians
+over runs, ranges of ticks) was written when the runs of Thompson sampling and ε-greedy in separate worlds were known,
+and before those of all other configs.
 """
 
 from collections.abc import Callable

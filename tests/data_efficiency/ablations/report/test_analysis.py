@@ -36,7 +36,8 @@ def write(folder, name, config, arrays, provenance=None, runs=RUNS):
     plain = records.config_dict(config)
     header = {
         "experiment": "data_efficiency", "name": name, "seeds": list(range(runs)), "config": plain,
-        "config_hash": records.config_hash(plain), "device": "cpu", "provenance": provenance or {},
+        "config_hash": records.config_hash(plain), "device": "cpu", "precision": "float32",
+        "provenance": provenance or {},
     }  # fmt: skip
     records.write(folder / "data_efficiency" / name / f"000-{runs - 1:03d}.npz", arrays, header)
 
