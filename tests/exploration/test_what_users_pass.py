@@ -8,11 +8,15 @@ from pathlib import Path
 import pytest
 
 TAKEN = {
+    "an environment's action of any width", "an environment's action as an array of no axes",
     "agents as a list", "drop probabilities as an array", "ticks from NumPy", "widths as a list", "rate from NumPy",
     "seeds from NumPy", "a range of seeds", "a layout as a list", "agents from NumPy", "actions as a list",
     "small integers as actions", "rules of a world",
 }  # fmt: skip
 REFUSED = {
+    "an environment's action as a float": "expected an action from 0 to 4, got 2.0",
+    "an environment's action as an array": "expected an action from 0 to 4, got array([2])",
+    "an environment's ticks as a float": "an episode has a whole number of ticks, at least one, got 2.5",
     "agents alone": "a config needs at least one agent, as a tuple of AgentConfig",
     "agents by name": "expected agents as a tuple of AgentConfig, got 'greedy'",
     "one drop probability": "expected 3 drop probabilities per agent, got 0.2",
@@ -38,6 +42,7 @@ REFUSED = {
 @pytest.fixture(scope="module")
 def outcomes():
     """Return what became of each case, in a process without the type checks that tests have."""
+    pytest.importorskip("gymnasium")
     script = Path(__file__).with_name("what_users_pass.py")
     found = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
     return json.loads(found.stdout)
@@ -54,4 +59,5 @@ def test_what_can_be_meant_is_taken(outcomes, case):
 
 @pytest.mark.parametrize("case", sorted(REFUSED))
 def test_what_cannot_is_refused_in_a_sentence(outcomes, case):
-    assert outcomes[case].startswith(f"ValueError: {REFUSED[case]}")
+    kind = "UserError" if case.startswith("an environment") else "ValueError"
+    assert outcomes[case].startswith(f"{kind}: {REFUSED[case]}")

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from dropout_uncertainty.exploration.experiment import AS_DEMO, OURS, AgentConfig, start
+from dropout_uncertainty.exploration.foraging.environment import ForagingWorld
 from dropout_uncertainty.exploration.foraging.world import ITEMS, Rules, World
 from dropout_uncertainty.exploration.policies import policy
 from dropout_uncertainty.exploration.replay import ReplayMemory
@@ -24,7 +25,18 @@ def moves(actions):
     assert world.clock == 1
 
 
+def env_step(action):
+    env = ForagingWorld()
+    env.reset(seed=100)
+    env.step(action)
+
+
 CASES = {
+    "an environment's action of any width": lambda: env_step(np.uint64(2)),
+    "an environment's action as an array of no axes": lambda: env_step(np.array(2)),
+    "an environment's action as a float": lambda: env_step(2.0),
+    "an environment's action as an array": lambda: env_step(np.array([2])),
+    "an environment's ticks as a float": lambda: ForagingWorld(2.5),
     "agents alone": lambda: replace(GREEDY, agents=AgentConfig("greedy")),
     "agents by name": lambda: replace(GREEDY, agents=("greedy",)),
     "agents as a list": lambda: config_hash(replace(GREEDY, agents=[AgentConfig("greedy")])),

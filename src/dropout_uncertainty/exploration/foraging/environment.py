@@ -58,7 +58,7 @@ class ForagingWorld(gymnasium.Env):
         """
         if self.world is None:
             raise UserError("the environment has no state yet: call reset first")
-        if not self.action_space.contains(action):
+        if getattr(action, "shape", ()) or not hasattr(action, "__index__") or int(action) not in range(len(w.ACTIONS)):
             raise UserError(f"expected an action from 0 to {len(w.ACTIONS) - 1}, got {action!r}")
         actions, readings = np.array([[int(action)]]), self._readings
         outcome = self.world.step(actions, self.np_random.random((1, w.ITEMS)), self.np_random.random((1, 4)))

@@ -96,6 +96,8 @@ class World:
         if not isinstance(agents, int | np.integer) or agents < 1:
             raise ValueError(f"a world needs a whole number of agents, at least one, got {agents!r}")
         layout = _uniform_numbers("the first items", layout, (-1, ITEMS, 3))
+        if np.isnan(layout).any():
+            raise ValueError("expected numbers in [0, 1) for the first items, got NaN")
         self.rules = rules or Rules()
         self.replicas, self.agents = len(layout), agents
         self.clock = 0
@@ -284,14 +286,14 @@ class World:
 
 
 def _uniform_numbers(what: str, values: NDArray | None, shape: tuple[int, ...]) -> NDArray:
-    """Return uniform numbers as an array, after checking their shape (-1: any) and range."""
+    """Return uniform numbers as an array, after checking their shape (-1: any) and range; NaN where none is needed."""
     numbers = np.asarray([] if values is None else values, dtype=np.float64)
     if numbers.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, numbers.shape, strict=True)):
         wanted = str(list(shape)).replace("-1", "R")
         came = "none" if values is None else f"shape {list(numbers.shape)}"
         raise ValueError(f"expected uniform numbers {wanted} for {what}, got {came}")
-    if not ((numbers >= 0) & (numbers < 1)).all():
-        raise ValueError(f"expected numbers in [0, 1) for {what}, got {numbers.min()} to {numbers.max()}")
+    if ((numbers < 0) | (numbers >= 1)).any():
+        raise ValueError(f"expected numbers in [0, 1) for {what}, got {np.nanmin(numbers)} to {np.nanmax(numbers)}")
     return numbers
 
 
