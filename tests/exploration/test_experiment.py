@@ -289,7 +289,7 @@ def test_bad_arguments_are_refused():
         start(SMALL, (100,), precision="bfloat16")
     with pytest.raises(UserError, match="unknown config"):
         experiment.units("as-dreamt")
-    with pytest.raises(ValueError, match="at least one agent"):
+    with pytest.raises(ValueError, match="at least one, got 0"):
         world.World(np.zeros((1, 30, 3)), agents=0)
     with pytest.raises(ValueError, match="precision"):
         start(SMALL, (100,), precision="float16")

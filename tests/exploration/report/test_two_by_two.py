@@ -30,7 +30,7 @@ def cells():
 
 
 def test_every_agent_has_a_label_and_every_contrast_agents():
-    assert {f"two-by-two/{name}" for name in LABELS} >= set(TWO_BY_TWO)
+    assert {f"two-by-two/{name}" for name in LABELS} == set(TWO_BY_TWO)
     for contrast in CONTRASTS.values():
         assert set(contrast.weights) <= set(LABELS)
         assert sum(contrast.weights.values()) == pytest.approx(0)
