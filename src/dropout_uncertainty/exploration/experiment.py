@@ -61,8 +61,8 @@ WIDE = {
     )
 }
 #: Is it exploration? Learning with and without dropout, by acting on a draw and on the mean weights (the four primary
-#: ones, first); draws no longer acted on in the second half; draws held for longer; and ε-greedy on the same seeds, with
-#: its own schedule and with one ten times shorter from the end of the burn-in (197,000 ticks to 19,700).
+#: ones, first); draws no longer acted on in the second half; draws held for longer; and ε-greedy on the same seeds,
+#: with its own schedule and with one ten times shorter from the end of the burn-in (197,000 ticks to 19,700).
 TWO_BY_TWO = {
     f"two-by-two/{name}": replace(OURS["thompson"], agents=(agent,))
     for name, agent in (
