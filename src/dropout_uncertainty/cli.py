@@ -30,6 +30,9 @@ EXPERIMENTS: dict[str, tuple[str, ...]] = {
         "dropout_uncertainty.data_efficiency.experiment",
         "dropout_uncertainty.data_efficiency.deep_pilco_experiment",
         "dropout_uncertainty.data_efficiency.what_matters",
+        "dropout_uncertainty.data_efficiency.doubt",
+        "dropout_uncertainty.data_efficiency.literal",
+        "dropout_uncertainty.data_efficiency.mchutchon",
     ),
 }
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 import torch
 from torch import Generator, Tensor
 
-__all__ = ["generator", "stacked"]
+__all__ = ["derived", "generator", "stacked"]
 
 
 def generator(seed: int, *path: str | int, device: str | torch.device = "cpu") -> Generator:
@@ -23,11 +23,20 @@ def generator(seed: int, *path: str | int, device: str | torch.device = "cpu") -
     Raises:
         ValueError: if ``seed`` is not an integer of at least 0.
     """
+    return Generator(device=device).manual_seed(derived(seed, *path))
+
+
+def derived(seed: int, *path: str | int) -> int:
+    """Return the seed of a part, such as a network of an ensemble, that has streams of its own.
+
+    Raises:
+        ValueError: if ``seed`` is not an integer of at least 0.
+    """
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ValueError(f"a seed is an integer of at least 0, got {seed!r}")
     # Hashing, rather than seed + counter, keeps streams apart whose seeds and counters are close.
     digest = hashlib.sha256(repr((seed, *path)).encode()).digest()
-    return Generator(device=device).manual_seed(int.from_bytes(digest[:8], "little"))
+    return int.from_bytes(digest[:8], "little")
 
 
 def stacked(

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dropout_uncertainty import cli, records
-from dropout_uncertainty.data_efficiency import cartpole, deep_pilco, mechanism, scaling, what_matters
+from dropout_uncertainty.data_efficiency import cartpole, deep_pilco, dropout_dynamics, mechanism, scaling, what_matters
 from dropout_uncertainty.data_efficiency import deep_pilco_experiment as experiment
 from dropout_uncertainty.data_efficiency.cartpole import PAPER
 from dropout_uncertainty.data_efficiency.deep_pilco_experiment import OURS
@@ -94,8 +94,8 @@ def test_a_sure_planner_has_the_same_network_and_no_masks(ours):
     # trial 1 is fitted to the same random trial, so the loss is the same: training keeps its dropout
     torch.testing.assert_close(process.log["model_loss"][:, 1], ours.log["model_loss"][:, 1])
     assert not torch.equal(process.log["predicted_mean"][:, 1], ours.log["predicted_mean"][:, 1])
-    view = what_matters.MeanDynamics.of(process.model)
-    assert type(view.select([1])) is what_matters.MeanDynamics
+    view = process.model.mean()
+    assert type(view.select([1])) is dropout_dynamics.MeanDynamics
     (draws,) = deep_pilco.draw(view, process.config.plant, process.config, 4, "test")
     x = torch.randn(2, 4, 6, generator=generator(100, "test"), dtype=torch.float64)
     torch.testing.assert_close(draws.functions[0](x), process.model.function(None)(x))

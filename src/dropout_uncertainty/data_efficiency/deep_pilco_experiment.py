@@ -13,11 +13,22 @@ from dropout_uncertainty import rng
 from dropout_uncertainty.data_efficiency import cartpole, controllers, deep_pilco, particles
 from dropout_uncertainty.data_efficiency.cartpole import PAPER, CartPole, Rollout
 from dropout_uncertainty.data_efficiency.cost import cost, solved
-from dropout_uncertainty.data_efficiency.deep_pilco import Planning
+from dropout_uncertainty.data_efficiency.deep_pilco import Dynamics, Planning
 from dropout_uncertainty.data_efficiency.dropout_dynamics import DropoutDynamics
+from dropout_uncertainty.data_efficiency.ensemble import Ensemble
 from dropout_uncertainty.runs import Unit, precision_dtype
 
-__all__ = ["AS_WRITTEN", "CONFIGS", "OURS", "SEARCH", "DeepPilcoConfig", "DeepPilcoLearning", "start", "units"]
+__all__ = [
+    "AS_TEXT",
+    "AS_WRITTEN",
+    "CONFIGS",
+    "OURS",
+    "SEARCH",
+    "DeepPilcoConfig",
+    "DeepPilcoLearning",
+    "start",
+    "units",
+]
 
 EXPERIMENT = "data_efficiency"
 #: Repetitions per unit of section 5.4, by device: on a CPU the time per repetition hardly falls beyond.
@@ -81,6 +92,12 @@ class DeepPilcoConfig(Planning):
     """A controller whose predicted cost per step stays above this is drawn anew; 1, as in thesis and paper: never."""
     redraws: int = 2
     """How often at most, per trial."""
+    doubt: bool = field(default=True, metadata={"before": True})
+    """The controller is improved on draws of the weights. Otherwise on the mean network (weight scaling): a model that
+    was trained with dropout and is sure of itself. With an ensemble, on its members or on the mean of their outputs."""
+    ensemble: int = field(default=1, metadata={"before": 1})
+    """Networks without dropout, each with its own first weights and minibatches, that share the particles; 1, as in
+    thesis and paper: one network."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -90,6 +107,13 @@ class DeepPilcoConfig(Planning):
             raise ValueError(f"trials, basis functions, steps and batch must be positive, got {asdict(self)}")
         if len(self.spread) != deep_pilco.DIM or min(self.spread) <= 0:
             raise ValueError(f"expected {deep_pilco.DIM} positive spreads, one per feature, got {self.spread}")
+        if self.ensemble < 1 or (self.ensemble > 1 and (self.drop or self.input_drop)):
+            raise ValueError(f"expected one network, or several without dropout, got {self.ensemble} with {self.drop}")
+        if self.particles % self.ensemble or PREDICTED % self.ensemble:
+            raise ValueError(
+                f"the {self.ensemble} networks of an ensemble share {self.particles} particles, {PREDICTED} in the "
+                "recorded prediction: expected equally many for each"
+            )
 
 
 #: Robust choices: the best of the search on development seeds (`SEARCH`), frozen before the published seeds were run.
@@ -110,13 +134,21 @@ AS_WRITTEN = replace(
     memory=10,
     guard=1.0,
 )
+#: What the thesis says and nothing else: the network learns from all transitions, and is given the state as it is. The
+#: paper's numbers stand where the thesis has none.
+AS_TEXT = replace(AS_WRITTEN, memory=0, angle_features=False, standardise=False)
 #: What was tried to find `OURS`, on development seeds.
 TRIED = replace(OURS, trials=25)
 SEARCH: dict[str, DeepPilcoConfig] = {
     "search/start": TRIED,
     "search/rate-decay": replace(TRIED, policy_final_rate=0.1),
 }
-CONFIGS: dict[str, DeepPilcoConfig] = {"deep-pilco-ours": OURS, "deep-pilco-as-written": AS_WRITTEN, **SEARCH}
+CONFIGS: dict[str, DeepPilcoConfig] = {
+    "deep-pilco-ours": OURS,
+    "deep-pilco-as-written": AS_WRITTEN,
+    "deep-pilco-as-text": AS_TEXT,
+    **SEARCH,
+}
 
 
 class DeepPilcoLearning:
@@ -134,11 +166,15 @@ class DeepPilcoLearning:
         self.config, self.seeds = config, tuple(seeds)
         self.total, self.done = config.trials + 1, 0
         self.shape = deep_pilco.RBFShape(config.basis)
-        self.model = DropoutDynamics(
-            self.seeds, hidden=config.hidden, drop=config.drop, input_drop=config.input_drop,
-            activation=config.activation, angle_features=config.angle_features, standardise=config.standardise,
-            dtype=dtype, device=device,
-        )  # fmt: skip
+        common: dict[str, Any] = {
+            "hidden": config.hidden, "activation": config.activation, "angle_features": config.angle_features,
+            "standardise": config.standardise, "dtype": dtype, "device": device,
+        }  # fmt: skip
+        self.model: DropoutDynamics | Ensemble = (
+            Ensemble(self.seeds, config.ensemble, **common)
+            if config.ensemble > 1
+            else DropoutDynamics(self.seeds, drop=config.drop, input_drop=config.input_drop, **common)
+        )
         self.policy = self._draw_policy(0)
         self.shown = tuple(trial for trial in SHOWN if trial <= config.trials)
         times, steps, trials, shown = config.plant.steps + 1, config.plant.steps, self.total, len(self.shown)
@@ -198,16 +234,20 @@ class DeepPilcoLearning:
         attempts = config.redraws if config.guard < 1 else 0
         fresh = [self._draw_policy(trial, attempt) for attempt in range(1, attempts + 1)]
         best, redraws = deep_pilco.guarded(
-            self.model, config.plant, self.shape, config, self.policy, fresh, config.guard, trial
+            self._planned(), config.plant, self.shape, config, self.policy, fresh, config.guard, trial
         )
         self.policy = best.parameters
         self.counts["policy_repairs"][:, trial] = best.repairs
         self.counts["policy_redrawn"][:, trial] = redraws
 
+    def _planned(self) -> Dynamics:
+        """Return the model that the controller is improved on."""
+        return self.model if self.config.doubt else self.model.mean()
+
     def _predict(self) -> None:
         """Record what the model expects of the controller that is about to be tried."""
         config, trial = self.config, self.done
-        draws = next(deep_pilco.draw(self.model, config.plant, config, PREDICTED, "record", trial))
+        draws = next(deep_pilco.draw(self._planned(), config.plant, config, PREDICTED, "record", trial))
         with torch.no_grad():
             controller = self.shape.controller(self.policy)
             prediction = particles.predict(controller, config.plant, draws, config.matching)

@@ -126,6 +126,12 @@ class DropoutDynamics:
         biases[-1] = biases[-1] * self.target_std + self.target_mean
         return DrawnFunction(tuple(weights), tuple(biases), masks[0], self.activation, self.angle_features)
 
+    def mean(self) -> "MeanDynamics":
+        """Return the mean networks (weight scaling) in the place of their draws; parameters and scaling are shared."""
+        view = object.__new__(MeanDynamics)
+        view.__dict__.update(self.__dict__)
+        return view
+
     def select(self, replicas: Sequence[int]) -> "DropoutDynamics":
         """Return a copy with some of the replicas."""
         rows = list(replicas)
@@ -276,6 +282,14 @@ class DropoutDynamics:
                 p.copy_(state[name])
         for name in ("input_mean", "input_std", "target_mean", "target_std"):
             setattr(self, name, state[name].to(self.log_noise))
+
+
+class MeanDynamics(DropoutDynamics):
+    """A model that is sure of itself: networks trained with dropout, followed by all particles without it."""
+
+    def draw(self, count: int, *path: str | int) -> Masks:
+        """Return no masks: the deterministic pass."""
+        return (None,) * len(self.drop)
 
 
 def _scaling(data: Tensor) -> tuple[Tensor, Tensor]:

@@ -5,6 +5,7 @@ hand were no faster. Replicas R first, then particles K.
 """
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -13,7 +14,6 @@ from torch import Tensor
 from dropout_uncertainty.data_efficiency.cartpole import CartPole
 from dropout_uncertainty.data_efficiency.controllers import RBFController, squash
 from dropout_uncertainty.data_efficiency.cost import cost
-from dropout_uncertainty.data_efficiency.dropout_dynamics import DrawnFunction
 from dropout_uncertainty.data_efficiency.squared_exponential import nan_cholesky
 
 MATCHING = ("full", "diagonal", "off")
@@ -23,12 +23,24 @@ COST_OF = ("particles", "mean")
 JITTER, RELATIVE_JITTER = 1e-6, 1e-5
 
 
+@runtime_checkable
+class Function(Protocol):
+    """How each particle moves: the change of state for a state, or its features, and a force."""
+
+    @property
+    def angle_features(self) -> bool:
+        """Whether it is given features of the state."""
+
+    def __call__(self, inputs: Tensor) -> Tensor:
+        """Return the change of state [R, K, 4] for inputs [R, K, D]."""
+
+
 @dataclass(frozen=True)
 class Draws:
     """The random numbers of one predicted trial: what makes its cost a function of the controller alone."""
 
     start: Float[Tensor, "R K 4"]  # particles at time 0
-    functions: tuple[DrawnFunction, ...]  # one, held for the whole trial, or one per step
+    functions: tuple[Function, ...]  # one, held for the whole trial, or one per step
     noise: Float[Tensor, "R T K 4"]  # standard normal, for the particles that are drawn anew
 
 
