@@ -1,4 +1,8 @@
-"""Named random streams: every number drawn in this project comes from a generator made here.
+"""Named random streams: every number that a learner or a world draws in a run comes from a generator made here.
+
+NumPy draws the rest, from generators of its own with a fixed seed: the first inducing inputs of PILCO
+(`gaussian_process.initial_inducing`), the resamples of a bootstrap (`stats.bootstrap_interval`) and which records are
+recomputed (`recompute.choose`). Gymnasium environments draw from their own ``np_random``.
 
 A stream is a pure function of a seed and a path of names and counters, such as ``generator(3, "masks", 17)``. Nothing
 has to be saved to continue a killed run, since a counter in the path says how far it had come, and no function touches

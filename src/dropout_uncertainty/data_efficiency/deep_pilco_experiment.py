@@ -155,8 +155,8 @@ class DeepPilcoLearning:
     """R repetitions of Deep PILCO (thesis algorithms 3 and 4) in one batch; step 0 is the random trial."""
 
     COUNTS = (
-        "model_repairs",  # gradients that were not finite and left out, networks that had to begin anew
-        "policy_repairs",  # gradients that were not finite and left out
+        "model_repairs",  # steps left out since the likelihood was not finite, networks that had to begin anew
+        "policy_repairs",  # steps left out since predicted cost or gradient was not finite
         "policy_redrawn",  # times the guard tried another controller
     )
 

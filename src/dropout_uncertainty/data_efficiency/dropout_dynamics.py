@@ -179,7 +179,8 @@ class DropoutDynamics:
 
         Returns:
             The objective [nats per transition, standardised targets], its likelihood averaged over the last tenth of
-            the steps; and how often a gradient was not finite and left out.
+            the steps; and how often the likelihood was not finite and its gradient left out. A gradient that is not
+            finite where the likelihood is breaks the network, which then begins anew at the next fit.
 
         Raises:
             ValueError: if inputs and targets do not have one row per transition each, or hold NaN or infinity.
