@@ -77,8 +77,8 @@ def weight_decay(n: int, p: float, length_scale: float, precision: float) -> flo
     It multiplies the sum of squared weights beside *half* the mean squared error (thesis equation 3.14): their sum is
     then 1 / (N τ) times the negative log posterior of weights with prior variance 1 / ((1 - p) l²), up to a constant.
     Without the factor ½ the prior counts half as much, as in the published code of the regression experiments, which
-    has this decay beside the whole mean squared error (yaringal/DropoutUncertaintyExps, net/net.py). ``n`` is the number of data points N, ``length_scale`` the prior
-    length-scale l, ``precision`` τ.
+    has this decay beside the whole mean squared error (yaringal/DropoutUncertaintyExps, net/net.py). ``n`` is the
+    number of data points N, ``length_scale`` the prior length-scale l, ``precision`` τ.
 
     Raises:
         ValueError: if ``n`` < 1, ``precision`` or ``length_scale`` is not positive, or ``p`` is outside [0, 1).
