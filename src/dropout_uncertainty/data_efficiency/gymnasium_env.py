@@ -43,7 +43,7 @@ class CartPoleSwingUp(gymnasium.Env):
         self._steps = 0
         return self._observe(state), {"state": state.numpy().copy()}
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Apply a force for one control interval.
 
         Raises:
