@@ -14,7 +14,7 @@ from torch import nn
 
 from dropout_uncertainty.active_learning.experiment import CONFIGS, CNNLearner
 from dropout_uncertainty.active_learning.network import BayesianCNN
-from dropout_uncertainty.records import provenance
+from dropout_uncertainty.runs.records import provenance
 
 POINTS, DRAWS = 2_000, 100
 

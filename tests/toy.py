@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import torch
 
-from dropout_uncertainty import rng, runs
-from dropout_uncertainty.runs import Unit
+from dropout_uncertainty import rng
+from dropout_uncertainty.runs import execute
+from dropout_uncertainty.runs.execute import Unit
 
 
 @dataclass(frozen=True)
@@ -55,4 +56,4 @@ def unit(**config):
 
 
 def checkpoint_often():
-    runs.CHECKPOINT_SECONDS = -1.0
+    execute.CHECKPOINT_SECONDS = -1.0

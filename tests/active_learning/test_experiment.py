@@ -10,7 +10,7 @@ import torch
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning.experiment import CONFIGS, ROWS, ActiveLearning, CNNLearner, Config, units
 from dropout_uncertainty.active_learning.loop import acquire
-from dropout_uncertainty.active_learning.pool import Pool
+from dropout_uncertainty.active_learning.pools import Pool
 
 TINY = replace(
     CONFIGS["ours/dropout/bald"], epochs=2, draws=5, subset=60, rounds=3, acquired=3, validation=100, pool=500
@@ -20,9 +20,9 @@ TINY = replace(
 @pytest.fixture
 def process(digits, monkeypatch):
     """Make small processes; the source of the initial points is cut to fit 2,000 images."""
-    from dropout_uncertainty.active_learning import experiment, pool
+    from dropout_uncertainty.active_learning import experiment, pools
 
-    monkeypatch.setattr(experiment, "split", lambda *a, **k: pool.split(*a, **k, source=400))
+    monkeypatch.setattr(experiment, "split", lambda *a, **k: pools.split(*a, **k, source=400))
 
     def make(config=TINY, seeds=(100,), precision="float32"):
         return ActiveLearning(config, seeds, device="cpu", precision=precision, data=digits)
@@ -91,13 +91,13 @@ def test_a_tiny_network_learns_twenty_images(digits):
 def test_an_emptying_pool_is_taken_whole_and_then_refused(digits):
     learner = CNNLearner(TINY, (100,), data=digits)
     learner.fit(torch.arange(20)[None])
-    pool = Pool(torch.arange(20), torch.arange(20, 24))
+    pools = Pool(torch.arange(20), torch.arange(20, 24))
     options = {"draws": 0, "generators": [rng.generator(100)]}
     with pytest.warns(UserWarning, match="only 4 points are left"):
-        acquire(learner, [pool], "max-entropy", 10, **options)
-    assert len(pool.labelled) == 24
+        acquire(learner, [pools], "max-entropy", 10, **options)
+    assert len(pools.labelled) == 24
     with pytest.raises(ValueError, match="the pool is empty"):
-        acquire(learner, [pool], "max-entropy", 10, **options)
+        acquire(learner, [pools], "max-entropy", 10, **options)
 
 
 def test_a_diverged_network_never_chooses(digits):

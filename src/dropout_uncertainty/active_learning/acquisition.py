@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from torch import Generator, Tensor
 
 __all__ = [
-    "ACQUISITIONS", "Selection", "bald", "least_confidence", "max_entropy", "mean_std", "score", "select",
+    "ACQUISITIONS", "Selection", "bald", "least_confidence", "margin", "max_entropy", "mean_std", "score", "select",
     "variation_ratios",
 ]  # fmt: skip
 
@@ -67,6 +67,12 @@ def least_confidence(log_probs: Float[Tensor, "S N C"]) -> Float[Tensor, " N"]:
     return -torch.expm1(mean_log_probs(log_probs).amax(-1))
 
 
+def margin(log_probs: Float[Tensor, "S N C"]) -> Float[Tensor, " N"]:
+    """Return 1 minus the gap between the two largest p̄ (Scheffer et al., 2001)."""
+    first, second = mean_log_probs(log_probs).exp().topk(2, -1).values.unbind(-1)
+    return 1 - (first - second)
+
+
 #: Scored acquisition functions by name; "random" is the acquisition that needs no score.
 ACQUISITIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "max-entropy": max_entropy,
@@ -74,6 +80,7 @@ ACQUISITIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "bald": bald,
     "mean-std": mean_std,
     "least-confidence": least_confidence,
+    "margin": margin,
 }
 
 

@@ -18,7 +18,8 @@ from jaxtyping import Float, Int
 from torch import Generator, Tensor
 
 from dropout_uncertainty.active_learning.acquisition import Selection, score, select
-from dropout_uncertainty.active_learning.pool import Pool
+from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
+from dropout_uncertainty.active_learning.pools import Pool
 
 __all__ = ["Learner", "acquire"]
 
@@ -63,19 +64,37 @@ def acquire(
         raise ValueError("the pool is empty: nothing is left to acquire")
     if left < count:
         warnings.warn(f"only {left} points are left in the pool, asked for {count}: taking them all", stacklevel=2)
+    if acquisition in BATCH_ACQUISITIONS:
+        choose = BATCH_ACQUISITIONS[acquisition]
+        predictions = learner.log_probs(torch.stack(offered), draws)
+        selections = [
+            Selection(choose(replica, count, generator), 1, False)
+            for replica, generator in zip(predictions, generators, strict=True)
+        ]
+    else:
+        selections = highest(learner, offered, acquisition, count, draws, generators)
+    for pool, candidates, selection in zip(pools, offered, selections, strict=True):
+        pool.acquire(candidates[selection.positions], keep=replace)
+    return selections
+
+
+def highest(
+    learner: Learner,
+    offered: Sequence[Int[Tensor, " M"]],
+    acquisition: str,
+    count: int,
+    draws: int,
+    generators: Sequence[Generator],
+) -> list[Selection]:
+    """Return the candidates with the highest scores, for each replica."""
     if acquisition == "random":
         scores = [torch.zeros(len(o)) for o in offered]
     else:
-        scores = predicted_scores(learner, torch.stack(offered), acquisition, draws)
-    selections = []
-    for pool, candidates, values, generator in zip(pools, offered, scores, generators, strict=True):
-        with warnings.catch_warnings():
-            if acquisition == "random":  # all scores are equal on purpose
-                warnings.simplefilter("ignore")
-            selection = select(values, count, generator)
-        pool.acquire(candidates[selection.positions], keep=replace)
-        selections.append(selection)
-    return selections
+        scores = predicted_scores(learner, torch.stack(list(offered)), acquisition, draws)
+    with warnings.catch_warnings():
+        if acquisition == "random":  # all scores are equal on purpose
+            warnings.simplefilter("ignore")
+        return [select(values, count, generator) for values, generator in zip(scores, generators, strict=True)]
 
 
 def predicted_scores(
