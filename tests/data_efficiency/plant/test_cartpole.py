@@ -159,6 +159,12 @@ def test_bad_input_is_named():
         cartpole._check_states([0.0, 0.0, 0.0, 3.1])
 
 
+@pytest.mark.parametrize("shape", [(2,), (3, 1)])
+def test_forces_that_fit_no_state_are_named(shape):
+    with pytest.raises(ValueError, match="one force per state"):
+        cartpole.step(PAPER, torch.zeros(3, 4), torch.zeros(shape))
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -185,6 +185,8 @@ class DropoutDynamics:
         Raises:
             ValueError: if inputs and targets do not have one row per transition each, or hold NaN or infinity.
         """
+        if steps < 1 or batch < 1:
+            raise ValueError(f"expected a step or more of a transition or more, got {steps} and {batch}")
         self._check(inputs, targets)
         repairs = self._restart_broken()
         x, y = self._scale(inputs, targets)
@@ -222,6 +224,9 @@ class DropoutDynamics:
         return late + self._penalty(decays), repairs
 
     def _check(self, inputs: Tensor, targets: Tensor) -> None:
+        for data in (inputs, targets):
+            if not isinstance(data, Tensor):
+                raise ValueError(f"expected tensors of transitions, got {type(data).__name__}: use torch.as_tensor")
         runs, width, outputs = len(self.seeds), self.sizes[0], self.sizes[-1]
         shapes = tuple(inputs.shape), tuple(targets.shape)
         expected = (runs, inputs.shape[1], width), (runs, inputs.shape[1], outputs)

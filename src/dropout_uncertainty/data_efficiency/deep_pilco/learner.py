@@ -109,6 +109,13 @@ class DeepPilcoConfig(Planning):
             raise ValueError(f"trials, basis functions, steps and batch must be positive, got {asdict(self)}")
         if len(self.spread) != planning.DIM or min(self.spread) <= 0:
             raise ValueError(f"expected {planning.DIM} positive spreads, one per feature, got {self.spread}")
+        if min(self.model_rate, self.length_scale) <= 0 or self.weight_std < 0:
+            raise ValueError(f"expected a positive step size and length-scale, and a spread of weights, got {self}")
+        shares = (self.drop, self.input_drop, self.model_final_rate, self.guard)
+        if not all(0 <= share <= 1 for share in shares) or max(self.drop, self.input_drop) == 1:
+            raise ValueError(f"expected drop probabilities in [0, 1), final rate and guard in [0, 1], got {shares}")
+        if self.activation not in ("relu", "sigmoid") or not self.hidden or min(self.hidden) < 1:
+            raise ValueError(f"expected layers of relu or sigmoid units, got {self.activation} and {self.hidden}")
         if self.ensemble < 1 or (self.ensemble > 1 and (self.drop or self.input_drop)):
             raise ValueError(f"expected one network, or several without dropout, got {self.ensemble} with {self.drop}")
         if self.particles % self.ensemble or PREDICTED % self.ensemble:
@@ -163,7 +170,7 @@ class DeepPilcoLearning:
     )
 
     def __init__(self, config: DeepPilcoConfig, seeds: Sequence[int], device: str, dtype: torch.dtype) -> None:
-        if not seeds:
+        if len(seeds) == 0:
             raise ValueError("at least one seed is needed, got none")
         self.config, self.seeds = config, tuple(seeds)
         self.total, self.done = config.trials + 1, 0

@@ -102,7 +102,12 @@ def match(
     Gradients flow through the mean and the factor of the covariance to the new particles. ``matching`` "diagonal" fits
     each dimension by itself, "off" leaves the particles as they are. The covariance is that of the particles, divided
     by K; a replica whose covariance has no factor becomes NaN.
+
+    Raises:
+        ValueError: for another way of matching.
     """
+    if matching not in MATCHING:
+        raise ValueError(f"expected matching to be one of {', '.join(MATCHING)}, got {matching!r}")
     mean = particles.mean(1, keepdim=True)
     centred = particles - mean
     if matching == "full":

@@ -94,8 +94,11 @@ def initial_hyper(inputs: Float[Tensor, "R N D"], targets: Float[Tensor, "R E N"
     Where a column does not vary, or there is one row only, the spread counts as 1, as for the network of Deep PILCO.
 
     Raises:
-        ValueError: if the data hold NaN or infinity.
+        ValueError: if the data hold NaN or infinity, or are not of one number of transitions.
     """
+    if targets.shape[::2] != inputs.shape[:2]:
+        shapes = tuple(inputs.shape), tuple(targets.shape)
+        raise ValueError(f"expected inputs [R, N, D] and targets [R, E, N], got shapes {shapes}")
     for name, columns in (("input", inputs.mT), ("target", targets)):
         bad = (~columns.isfinite()).any(-1).any(0).nonzero().flatten().tolist()
         if bad:

@@ -59,6 +59,10 @@ class PilcoConfig:
     def __post_init__(self) -> None:
         if self.trials < 1 or self.basis < 1 or self.policy_iterations < 1 or self.model_iterations < 1:
             raise ValueError(f"trials, basis functions and line searches must be positive, got {asdict(self)}")
+        if self.inducing < 0 or self.inducing_iterations < 1 or self.target_std <= 0:
+            raise ValueError(f"expected no negative numbers and positive steps and targets, got {asdict(self)}")
+        if len(self.log_length_scales) != planning.DIM:
+            raise ValueError(f"expected {planning.DIM} length-scales, one per feature, got {self.log_length_scales}")
 
 
 #: The plant of the original code.
@@ -90,7 +94,7 @@ class PilcoLearning:
     )
 
     def __init__(self, config: PilcoConfig, seeds: Sequence[int], device: str = "cpu") -> None:
-        if not seeds:
+        if len(seeds) == 0:
             raise ValueError("at least one seed is needed, got none")
         self.config, self.seeds, self.device = config, tuple(seeds), device
         self.total, self.done = config.trials + 1, 0

@@ -83,6 +83,8 @@ def _check_states(state: object) -> None:
     """Raise ValueError for what is no tensor of states."""
     if not isinstance(state, Tensor):
         raise ValueError(f"expected a tensor of states, got {type(state).__name__}: use torch.as_tensor")
+    if not state.is_floating_point():
+        raise ValueError(f"expected states in floating point, got {state.dtype}")
     if state.shape[-1:] != (4,):
         raise ValueError(f"expected states (x, v, w, theta) along the last axis, got shape {tuple(state.shape)}")
 
@@ -112,9 +114,14 @@ def step(plant: CartPole, state: Tensor, force: Tensor, substeps: int = SUBSTEPS
         substeps: how many integration steps the interval is cut into.
 
     Raises:
-        ValueError: if the last axis of the state is not (x, v, w, theta).
+        ValueError: if the last axis of the state is not (x, v, w, theta), or there is not one force per state.
     """
     _check_states(state)
+    if not isinstance(force, Tensor):
+        force = torch.as_tensor(force, dtype=state.dtype, device=state.device)
+    if force.ndim and force.shape != state.shape[:-1]:
+        shapes = tuple(force.shape), tuple(state.shape)
+        raise ValueError(f"expected one force per state, [...] and [..., 4], got shapes {shapes}")
     h = plant.dt / substeps
     for _ in range(substeps):
         k1 = derivative(plant, state, force)
@@ -127,6 +134,7 @@ def step(plant: CartPole, state: Tensor, force: Tensor, substeps: int = SUBSTEPS
 
 def energy(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
     """Return the mechanical energy [J]; zero for the pole at rest and level with the pivot."""
+    _check_states(state)
     _, v, w, theta = state.unbind(-1)
     m, length = plant.pole_mass, plant.pole_length
     kinetic = (plant.cart_mass + m) * v**2 / 2 - m * length * v * w * theta.cos() / 2 + m * length**2 * w**2 / 6
