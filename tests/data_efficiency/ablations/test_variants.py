@@ -77,7 +77,7 @@ def test_the_command_line_knows_the_family():
     modules = cli.config_modules("data_efficiency")
     assert cli.config_names("what-matters", modules) == list(CONFIGS)
     for name in CONFIGS:
-        assert modules[name] is variants
+        assert modules[name].CONFIGS[name] is CONFIGS[name]
         (unit,) = variants.units(name, range(10))
         assert unit.label == f"data_efficiency/{name}/000-009"
     with pytest.raises(UserError, match="unknown config 'what-matters/nothing'"):
