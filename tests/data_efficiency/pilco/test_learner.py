@@ -257,7 +257,8 @@ def test_first_centres_come_from_the_start_distribution():
 
 @pytest.mark.slow
 def test_learns_to_swing_up_and_balance():
-    """At least one of two repetitions is solved within five trials of the original's plant."""
-    config = replace(learner.PILCO_MATLAB, trials=5)
-    process = finish(learner.start(config, (100, 101)))
-    assert solved(config.plant, process.log["costs"]).any()
+    """At least one of two repetitions is solved within five trials, with less than half of the line searches."""
+    process = learner.start(replace(learner.PILCO_PAPER, trials=5, policy_iterations=60), (100, 101))
+    while process.done < process.total and not solved(PAPER, process.log["costs"]).any():
+        process.advance()
+    assert solved(PAPER, process.log["costs"]).any()
