@@ -11,6 +11,7 @@ from dropout_uncertainty.exploration import agent, experiment
 from dropout_uncertainty.exploration.experiment import AS_DEMO, CONFIGS, WIDE, AgentConfig, Config, start
 from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.runs import execute, records
+from dropout_uncertainty.runs.unit import Unit
 
 #: Small and quick to learn, but with every feature of the published configs.
 SMALL = replace(
@@ -195,7 +196,7 @@ def test_masks_are_switched_off_at_the_tick_said():
 
 
 def test_a_run_reaches_its_record(tmp_path):
-    unit = execute.Unit("exploration", "small", start, SMALL, (100, 101))
+    unit = Unit("exploration", "small", start, SMALL, (100, 101))
     record = execute.run_unit(unit, folder=tmp_path)
     assert record.arrays["average_reward"].shape == (2, 2, 3)
     assert record.header["config"]["agents"][0] == {"policy": "thompson", "drop": [0.0, 0.2, 0.0]}

@@ -26,8 +26,8 @@ from dropout_uncertainty.active_learning.network import CLASSES, BayesianCNN
 from dropout_uncertainty.active_learning.noisy_pools import KINDS, NO_LABEL, Task, make_task
 from dropout_uncertainty.active_learning.pools import Pool, split
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit, precision_dtype
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit, precision_dtype
 
 __all__ = ["CONFIGS", "EXPERIMENT", "ROWS", "ActiveLearning", "CNNLearner", "Config", "start", "units"]
 

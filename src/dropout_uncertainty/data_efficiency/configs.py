@@ -7,7 +7,7 @@ from dropout_uncertainty.data_efficiency.ablations import doubt, literal, mchutc
 from dropout_uncertainty.data_efficiency.deep_pilco import learner as deep_pilco
 from dropout_uncertainty.data_efficiency.pilco import learner as pilco
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit
+from dropout_uncertainty.runs.unit import Unit
 
 __all__ = ["CONFIGS", "units"]
 

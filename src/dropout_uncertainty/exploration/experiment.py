@@ -14,8 +14,8 @@ from dropout_uncertainty.exploration.config import BLOCK, NO_DROPOUT, AgentConfi
 from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.exploration.foraging.world import World
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit, precision_dtype
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit, precision_dtype
 
 __all__ = [
     "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "TWO_BY_TWO", "WIDE", "AgentConfig", "Config", "Foraging",

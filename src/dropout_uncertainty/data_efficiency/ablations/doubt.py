@@ -16,8 +16,8 @@ from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.data_efficiency.pilco import learner as pilco
 from dropout_uncertainty.data_efficiency.pilco.learner import LONGER, PilcoConfig, PilcoLearning
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit, precision_dtype
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit, precision_dtype
 
 __all__ = ["CONFIGS", "FAMILY", "TRIALS", "WITH_DOUBT", "DoubtRun", "PilcoDoubtRun", "start", "units"]
 

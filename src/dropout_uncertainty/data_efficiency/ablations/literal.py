@@ -11,8 +11,8 @@ from dropout_uncertainty.data_efficiency.deep_pilco import learner
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS, DeepPilcoConfig
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.runs import records, sweep
-from dropout_uncertainty.runs.execute import Unit
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit
 
 __all__ = ["CHANGES", "CONFIGS", "FAMILY", "TRIALS", "units"]
 

@@ -24,8 +24,8 @@ from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import Sq
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.data_efficiency.pilco.learner import LONGER, PilcoConfig
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit
 
 __all__ = [
     "CONFIGS", "FAMILY", "GaussianDynamics", "GaussianFunction", "ParticlePilco", "ParticlePilcoConfig", "start",

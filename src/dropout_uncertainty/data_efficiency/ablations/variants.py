@@ -15,8 +15,8 @@ from dropout_uncertainty.data_efficiency.deep_pilco import learner
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, SearchRun
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit, precision_dtype
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit, precision_dtype
 
 __all__ = ["CONFIGS", "FAMILY", "TRIALS", "VARIANTS", "Variant", "VariantConfig", "VariantRun", "start", "units"]
 

@@ -20,8 +20,8 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole, Rollout
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit, precision_dtype
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit, precision_dtype
 
 __all__ = [
     "AS_TEXT",

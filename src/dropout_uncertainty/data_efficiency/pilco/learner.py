@@ -21,9 +21,9 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 from dropout_uncertainty.runs import records, sweep
-from dropout_uncertainty.runs.execute import Unit
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit
 
 __all__ = [
     "CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer",
