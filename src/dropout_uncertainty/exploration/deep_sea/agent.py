@@ -162,7 +162,7 @@ class Agent:
         return found
 
     def _learn(self, step: int, draw: Masks) -> Float[np.ndarray, "L C"]:
-        """Take a learning step; return the values of the present states before it, under ``draw`` if one is acted on."""
+        """Take a learning step; return the values of the present states before it, under ``draw`` if it is acted on."""
         cells = torch.from_numpy(np.repeat(self.sea.cell, self.members)[:, None]).to(self.device)
         masks = self.masks.at(step)
         if self.policy.draws_weights:

@@ -1,8 +1,8 @@
 """Deep Sea: what each agent is, and the runs of all its seeds. Sources of the settings beside them.
 
-A replica runs until it has solved its sea, or to the last episode. Solved is bsuite's rule: over all episodes so far, the
-mean regret is below 0.9, so the treasure was found in more than a tenth of them. As luck can do that within the first
-few, a replica goes on until it also holds over at least ``WINDOW`` episodes and the last ``WINDOW`` of them.
+A replica runs until it has solved its sea, or to the last episode. Solved is bsuite's rule: the mean regret over all
+episodes so far is below 0.9, so the treasure was found in more than a tenth of them. As luck can do that within the
+first few, a replica goes on until it holds over at least ``WINDOW`` episodes, and over the last ``WINDOW`` of them.
 """
 
 from collections.abc import Sequence
@@ -11,13 +11,17 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float
 
 from dropout_uncertainty.bayes import check_probability
 from dropout_uncertainty.exploration.deep_sea.agent import EPISODES, HELD, Agent, Held
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
 from dropout_uncertainty.runs import Unit, precision_dtype
 
-__all__ = ["AGENTS", "CONFIGS", "REGRET", "SIZES", "TIMES", "WINDOW", "Config", "Diving", "start", "units"]
+__all__ = [
+    "AGENTS", "CONFIGS", "REGRET", "SIZES", "TIMES", "WINDOW", "Config", "Diving", "mean_regret", "start",
+    "units",
+]  # fmt: skip
 
 EXPERIMENT = "exploration"
 #: A sea is solved when the mean regret of an episode is below this (bsuite 0.3.6).
@@ -137,6 +141,11 @@ def make_policy(config: Config) -> Policy:
     return policy(config.policy, burn_in=NO_BURN_IN, **settings.get(config.policy, {}))
 
 
+def mean_regret(found: Bool[np.ndarray, "R T"]) -> Float[np.ndarray, " R"]:
+    """Return the share of episodes without the treasure; bsuite leaves out the costs of moves too."""
+    return (~found).mean(1)
+
+
 class Diving:
     """R replicas of an agent in Deep Sea; one step of work is ten episodes of those that go on."""
 
@@ -193,8 +202,7 @@ class Diving:
         """Let the replicas go that have solved their sea for good."""
         episodes = self.done * EPISODES
         found = self.found[self.active, :episodes]
-        threshold = 1 - REGRET
-        solved = (found.mean(1) > threshold) & (found[:, -WINDOW:].mean(1) > threshold) & (episodes >= WINDOW)
+        solved = (mean_regret(found) < REGRET) & (mean_regret(found[:, -WINDOW:]) < REGRET) & (episodes >= WINDOW)
         if not solved.any():
             return
         self.length[self.active[solved]] = episodes

@@ -1,7 +1,7 @@
 """Deep Sea, R replicas at once: the rules of bsuite 0.3.6 (Osband et al. 2020), held to it by a recorded trace.
 
-A sea of size N has N rows and N columns. An agent starts in the upper left cell; each move takes it one row down and one
-column to the left or to the right, but not over the edges. Which of the two actions means right is drawn for every
+A sea of size N has N rows and N columns. An agent starts in the upper left cell; each move takes it one row down and
+one column to the left or to the right, but not over the edges. Which of the two actions means right is drawn for every
 cell. A move to the right costs 0.01/N; a move to the right in the lower right cell brings 1. Only N moves to the right
 lead there, so that of 2^N sequences of moves one is good, and the costs teach whoever does not know of it to go left.
 
