@@ -20,7 +20,7 @@ check: $(READY)
 	$(BIN)/lint-imports
 
 browser: $(READY) ## open the built book, and a notebook in JupyterLab, in Chromium and check what is to be seen
-	$(BIN)/python -m pytest -m "" tests/test_book.py tests/test_browser.py tests/test_lab.py
+	$(BIN)/python -m pytest -m "" tests/page/test_book.py tests/page/test_browser.py tests/page/test_lab.py
 
 quick: $(READY) ## compute everything live at reduced size and build the HTML from that
 	$(RUN) book --profile quick

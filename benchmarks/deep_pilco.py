@@ -16,9 +16,9 @@ from dataclasses import replace
 
 import torch
 
-from dropout_uncertainty.data_efficiency import deep_pilco
-from dropout_uncertainty.data_efficiency.deep_pilco_experiment import OURS, start
-from dropout_uncertainty.data_efficiency.dropout_dynamics import DropoutDynamics
+from dropout_uncertainty.data_efficiency.deep_pilco import planning
+from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, start
 from dropout_uncertainty.rng import generator
 
 #: Multiplications and additions of one pass of one row through the network, forward.
@@ -46,9 +46,9 @@ def policy_step(runs: int, particles: int, repeats: int, steps: int = 10) -> flo
     """Return CPU seconds per repetition of one policy step."""
     plan = replace(OURS, particles=particles, policy_steps=steps)
     seeds = tuple(range(100, 100 + runs))
-    model, shape = DropoutDynamics(seeds), deep_pilco.RBFShape(plan.basis)
+    model, shape = DropoutDynamics(seeds), planning.RBFShape(plan.basis)
     policy = torch.stack([shape.initial(plan.spread, plan.weight_std, generator(seed, "policy")) for seed in seeds])
-    work = lambda: deep_pilco.improve(model, plan.plant, shape, plan, policy, 0)  # noqa: E731
+    work = lambda: planning.improve(model, plan.plant, shape, plan, policy, 0)  # noqa: E731
     return cpu_seconds(work, repeats) / steps / runs
 
 

@@ -17,8 +17,8 @@ import torch
 from dropout_uncertainty.exploration import q_network
 from dropout_uncertainty.exploration.agent import CHUNK
 from dropout_uncertainty.exploration.experiment import BLOCK, CONFIGS, Foraging, start
-from dropout_uncertainty.records import provenance
 from dropout_uncertainty.rng import generator
+from dropout_uncertainty.runs.records import provenance
 
 #: Ticks per second of the original with its two agents, on one core under Node 20: as it is, and with the numerical
 #: part of its learning step in a compiled kernel. Measured once, on another machine.

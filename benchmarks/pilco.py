@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from dropout_uncertainty.data_efficiency import pilco
-from dropout_uncertainty.data_efficiency.cartpole import MATLAB
-from dropout_uncertainty.data_efficiency.gaussian_process import GaussianProcess, initial_hyper
-from dropout_uncertainty.data_efficiency.moment_matching import Gaussian
-from dropout_uncertainty.data_efficiency.squared_exponential import SquaredExponential
+from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian
+from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import SquaredExponential
+from dropout_uncertainty.data_efficiency.pilco import planning
+from dropout_uncertainty.data_efficiency.pilco.gaussian_process import GaussianProcess, initial_hyper
+from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB
 from dropout_uncertainty.rng import generator
 
 STORED = Path(__file__).parents[1] / "records" / "original" / "pilco_octave_bench.csv"
@@ -51,11 +51,11 @@ def cpu_seconds(work: Callable[[], object], repeats: int) -> float:
 
 def trial(runs: int, count: int, repeats: int) -> float:
     """Return CPU seconds per repetition of one objective with gradient."""
-    model, shape = posterior(runs, count), pilco.PolicyShape(10)
+    model, shape = posterior(runs, count), planning.PolicyShape(10)
     scales = (0.0, 0.0, 0.0, -0.36, -0.36)
     draws = [shape.initial(MATLAB, 0.1, scales, generator(100 + r, "policy")) for r in range(runs)]
     parameters = torch.stack(draws)
-    return cpu_seconds(lambda: pilco.objective(model, MATLAB, shape, parameters), repeats) / runs
+    return cpu_seconds(lambda: planning.objective(model, MATLAB, shape, parameters), repeats) / runs
 
 
 def step(count: int, inputs: int, outputs: int, repeats: int) -> float:

@@ -15,6 +15,13 @@ def test_masks_hold_two_values_and_have_mean_one(p):
     assert abs(rows.var().item() / (p / (1 - p) / 1000) - 1) < 0.5, "entries of a row are not independent"
 
 
+def test_masks_are_the_bernoulli_variates_of_torch_on_a_cpu():
+    """Where the drop probability is no multiple of 1/256; by its kernel for all CPUs, which is that without MKL."""
+    uniform = rng.generator(100)
+    drawn = torch.rand(50_000, generator=uniform, dtype=torch.float64)
+    assert torch.equal(dropout_mask((50_000,), 0.05, rng.generator(100)) > 0, drawn < 0.95)
+
+
 @pytest.mark.parametrize("p", [-0.1, 1.0, 1.5, float("nan")])
 def test_probabilities_outside_0_1_are_refused(p):
     with pytest.raises(ValueError, match="drop probability"):

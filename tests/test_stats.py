@@ -45,3 +45,43 @@ def test_paired_samples_must_pair_up():
     with pytest.raises(ValueError, match="one value per seed"):
         stats.paired_difference([1.0, 2.0], [1.0, 2.0, 3.0])
     assert stats.paired_difference([2.0, 3.0, 5.0], [1.0, 2.0, 4.0]).value == 1
+
+
+def test_estimates_by_hand():
+    values = [1.0, 2.0, 3.0, 4.0, 5.0]
+    found = stats.mean_estimate(values)
+    reference = scipy_stats.ttest_1samp(values, 0.0)
+    assert found.value == 3.0
+    assert found.p == pytest.approx(reference.pvalue)
+    assert (found.low, found.high) == pytest.approx(tuple(reference.confidence_interval(0.95)))
+    assert (found.low90, found.high90) == pytest.approx(tuple(reference.confidence_interval(0.90)))
+    other = [0.0, 0.5, 9.0]
+    reference = scipy_stats.ttest_ind(values, other, equal_var=False)
+    found = stats.difference_of_means(values, other)
+    assert found.p == pytest.approx(reference.pvalue)
+    assert (found.low, found.high) == pytest.approx(tuple(reference.confidence_interval(0.95)))
+    assert found.n == 3
+    assert np.isnan(stats.mean_estimate([1.0]).low)
+    assert stats.mean_estimate([2.0] * 5).low == 2.0, "no spread, no width"
+
+
+def test_shares_by_newcombe_s_own_example():
+    """Newcombe (1998), table II, method 10: 56/70 - 48/80 gives 0.2 [0.0524, 0.3339]."""
+    first, second = np.arange(70) < 56, np.arange(80) < 48
+    found = stats.difference_of_shares(first, second)
+    assert (found.value, found.low, found.high) == pytest.approx((0.2, 0.0524, 0.3339), abs=5e-5)
+    assert found.p == pytest.approx(scipy_stats.fisher_exact([[56, 14], [48, 32]]).pvalue)
+
+
+@pytest.mark.parametrize("n", [5, 6, 10, 40])
+def test_intervals_cover_what_they_promise(n):
+    """95 % intervals of a mean hold the truth in at least 92 % of samples, however few repetitions there are."""
+    generator = np.random.default_rng(1)
+    tries = 200
+    means = generator.normal(size=(tries, n))
+    student = np.mean([e.low <= 0 <= e.high for e in map(stats.mean_estimate, means)])
+    boot = np.mean(
+        [e.low <= 0 <= e.high for e in (stats.bootstrap_estimate(lambda i, s=s: s[i].mean(), n) for s in means)]
+    )
+    assert student >= 0.92
+    assert boot >= 0.92

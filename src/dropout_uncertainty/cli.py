@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dropout_uncertainty import __version__, folders, stopping
 from dropout_uncertainty.errors import UserError
 
 if TYPE_CHECKING:  # PyTorch takes seconds to import, which `--help` need not wait for
-    from dropout_uncertainty.runs import Unit
+    from dropout_uncertainty.runs.execute import Unit
 
 __all__ = ["EXPERIMENTS", "app", "main"]
 
@@ -29,21 +30,32 @@ EXPERIMENTS: dict[str, tuple[str, ...]] = {
         "dropout_uncertainty.exploration.experiment",
         "dropout_uncertainty.exploration.deep_sea.experiment",
     ),
-    "data_efficiency": (
-        "dropout_uncertainty.data_efficiency.experiment",
-        "dropout_uncertainty.data_efficiency.deep_pilco_experiment",
-        "dropout_uncertainty.data_efficiency.what_matters",
-    ),
+    "data_efficiency": ("dropout_uncertainty.data_efficiency.configs",),
 }
+#: Seeds of one command.
+MOST_SEEDS = 100_000
 
 app = typer.Typer(
-    help="Dropout uncertainty in action: make the book, run the experiments, look at the records.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 record_commands = typer.Typer(help="List and verify the stored records.", no_args_is_help=True)
 app.add_typer(record_commands, name="records")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="print it")
+    ] = False,
+) -> None:
+    """Dropout uncertainty in action: make the book, run the experiments, look at the records."""
 
 
 @app.command()
@@ -52,7 +64,7 @@ def book(
     skip_run: Annotated[bool, typer.Option(help="build from the notebooks as last run")] = False,
 ) -> None:
     """Run all notebooks and build the HTML book."""
-    from dropout_uncertainty.book import build
+    from dropout_uncertainty.page.book import build
 
     build(profile, run=not skip_run)
 
@@ -63,7 +75,7 @@ def notebooks(
     profile: Annotated[str, typer.Option(help="recorded, quick or full")] = "recorded",
 ) -> None:
     """Run notebooks without building the book."""
-    from dropout_uncertainty.book import run_notebooks
+    from dropout_uncertainty.page.book import run_notebooks
 
     run_notebooks(profile, names or None)
 
@@ -71,7 +83,7 @@ def notebooks(
 @app.command()
 def front() -> None:
     """Write the numbers in the README, and the pictures of README and first page, from the records."""
-    from dropout_uncertainty.front import write
+    from dropout_uncertainty.page.landing import write
 
     for line in write():
         typer.echo(line)
@@ -88,22 +100,25 @@ def run(
     scheduler: Annotated[str | None, typer.Option(help="of a Dask cluster to use, such as tcp://host:8786")] = None,
 ) -> None:
     """Compute the missing records of an experiment; a run that was stopped continues where it was."""
-    from dropout_uncertainty import records, runs
+    from dropout_uncertainty.runs import execute, records
 
+    folders.create(records.root())
+    any_device = device == "auto"
     if scheduler is not None:
         if workers > 1:
             raise UserError("--workers are processes of this machine, --scheduler has workers of its own: choose one")
         device = known({"auto": "cpu"}.get(device, device), ("cpu", "cuda"), "device")  # of the cluster's workers
-    options: dict[str, Any] = {"device": runs.check_device(device) if scheduler is None else device}
+    options: dict[str, Any] = {"device": execute.check_device(device) if scheduler is None else device}
     if precision is not None:
-        runs.precision_dtype(precision)
-        options["precision"] = precision
+        options["precision"] = known(precision, execute.PRECISIONS, "precision")
+    # what was computed on the other device type counts, unless one is asked for
+    like = options | ({"device": None} if any_device else {})
     experiment = known(experiment.replace("-", "_"), EXPERIMENTS, "experiment")
     modules = config_modules(experiment)
     names, numbers = config_names(config, modules), seed_list(seeds)
 
-    def missing(name: str) -> list[runs.Unit]:
-        left = records.missing_seeds(experiment, name, modules[name].CONFIGS[name], numbers)
+    def missing(name: str) -> list[execute.Unit]:
+        left = records.missing_seeds(experiment, name, modules[name].CONFIGS[name], numbers, **like)
         return modules[name].units(name, left, **options) if left else []
 
     # Seed by seed, so that every config has its first repetition before any has its second.
@@ -113,27 +128,28 @@ def run(
         typer.echo("Nothing to do: these repetitions have their records.")
     context: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
     if scheduler is not None:
-        context = runs.cluster(scheduler)
+        context = execute.cluster(scheduler)
     elif workers > 1:
-        context = runs.processes(workers)
+        context = execute.processes(workers)
     with context as executor:
-        for record in runs.run(units, executor=executor):
+        for record in execute.run(units, executor=executor):
             typer.echo(record.path)
 
 
 @record_commands.command("list")
 def list_records() -> None:
     """List the stored records with their seeds and computing times."""
-    from dropout_uncertainty import records
+    from dropout_uncertainty.runs import records
 
     for path, problem in records.verify():
         label = path.relative_to(records.root())
         if problem is None:
             origin = records.read(path).header["provenance"]
-            commit = (origin["commit"] or "unknown")[:8]
-            typer.echo(f"{label}  {origin['wall_s'] / 60:.1f} min  {origin['date'][:10]}  {commit}")
+            minutes = f"{origin['wall_s'] / 60:.1f} min" if "wall_s" in origin else "time unknown"
+            date, commit = (str(origin.get(key) or "unknown") for key in ("date", "commit"))
+            typer.echo(f"{label}  {minutes}  {date[:10]}  {commit[:8]}")
         else:
-            typer.echo(f"{label}  unreadable")
+            typer.echo(f"{label}  {problem}")
 
 
 @record_commands.command("verify")
@@ -142,14 +158,19 @@ def verify_records(
     seed: Annotated[int | None, typer.Option(help="of the drawing; default: today's date as a number")] = None,
     seconds: Annotated[float, typer.Option(help="CPU time for the first steps of each; 0: all its steps")] = 30.0,
 ) -> None:
-    """Check every stored record against its checksum, schema and config hash; recompute a few and compare."""
-    from dropout_uncertainty import records
+    """Check every stored record against its checksums, place and config; recompute a few and compare."""
+    from dropout_uncertainty.runs import records
 
     found = records.verify()
+    if not found:
+        raise UserError(f"there are no records below {records.root()}")
     problems = [problem for _, problem in found if problem is not None]
     for problem in problems:
         typer.echo(problem, err=True)
-    typer.echo(f"{len(found) - len(problems)} of {len(found)} records are intact")
+    typer.echo(
+        f"{len(found) - len(problems)} of {len(found)} records are intact: arrays and header agree with their "
+        "checksums, each is where its label says, and no seed of a config is in two"
+    )
     intact = [records.read(path) for path, problem in found if problem is None]
     failed = bool(problems)
     if recompute:
@@ -159,7 +180,7 @@ def verify_records(
 
 def _recompute(found: list[Any], count: int, seed: int, seconds: float) -> bool:
     """Recompute some records of each section, print what comes out, and return whether one is not confirmed."""
-    from dropout_uncertainty.recompute import choose, recompute
+    from dropout_uncertainty.runs.recompute import choose, recompute
 
     failed = False
     typer.echo(f"recomputing {count} of the records of each section, drawn with seed {seed}")
@@ -174,7 +195,7 @@ def _recompute(found: list[Any], count: int, seed: int, seconds: float) -> bool:
 @app.command()
 def results(as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False) -> None:
     """Print every number of the book beside the thesis's, with its interval and verdict."""
-    from dropout_uncertainty.claims import collect
+    from dropout_uncertainty.judging.collect import collect
 
     found = collect()
     if as_json:
@@ -208,7 +229,7 @@ def recorded_unit(header: Mapping[str, Any]) -> "Unit":
     Raises:
         UserError: if the code has no such config any more, or another one of that name.
     """
-    from dropout_uncertainty import records
+    from dropout_uncertainty.runs import records
 
     where = f"{header['experiment']}/{header['name']}"
     modules = config_modules(header["experiment"])
@@ -243,14 +264,18 @@ def seed_list(text: str) -> list[int]:
         match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
         if match is None or (match[2] is not None and int(match[2]) < int(match[1])):
             raise UserError(f"seeds are given like 0-4 or 0,3,7, got {text!r}")
-        seeds += range(int(match[1]), int(match[2] or match[1]) + 1)
+        part_seeds = range(int(match[1]), int(match[2] or match[1]) + 1)
+        if len(seeds) + len(part_seeds) > MOST_SEEDS:
+            raise UserError(f"at most {MOST_SEEDS:,} seeds can be asked for at a time, got {text!r}")
+        seeds += part_seeds
     return list(dict.fromkeys(seeds))
 
 
+@stopping.one_sentence()
 def main() -> None:
     """Run the command line; a mistake of the caller is one sentence and exit status 2, without a traceback."""
     try:
         app()
-    except (UserError, ValueError) as error:
+    except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

@@ -1,5 +1,9 @@
-"""Intervals, paired differences and crossings of curves: thin over ``scipy.stats`` and ``scipy.ndimage``."""
+"""Intervals, estimates, paired differences and crossings of curves: thin over ``scipy.stats`` and ``scipy.ndimage``.
 
+An `Interval` describes; an `Estimate` carries what a verdict needs (``judging.rules``).
+"""
+
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -8,7 +12,8 @@ from scipy import ndimage
 from scipy import stats as scipy_stats
 
 __all__ = [
-    "CONFIDENCE", "Interval", "bootstrap_interval", "crossing_interval", "first_crossing", "median_filter",
+    "CONFIDENCE", "Estimate", "Interval", "bootstrap_estimate", "bootstrap_interval", "crossing_interval",
+    "difference_of_means", "difference_of_shares", "first_crossing", "mean_estimate", "median_filter",
     "paired_difference", "ratio_interval", "t_interval",
 ]  # fmt: skip
 
@@ -23,6 +28,107 @@ class Interval(NamedTuple):
     low: float
     high: float
     n: int
+
+
+class Estimate(NamedTuple):
+    """A difference from what is claimed, as rules judge it; NaN where ``n`` repetitions are too few to tell.
+
+    Attributes:
+        value: the estimate.
+        low, high: its 95 % interval, against which a difference is judged.
+        low90, high90: its 90 % interval, against which equivalence is judged (two one-sided tests at 5 %).
+        p: two-sided p-value of "the difference is 0".
+        n: repetitions; of two samples, those of the smaller.
+    """
+
+    value: float
+    low: float
+    high: float
+    low90: float
+    high90: float
+    p: float
+    n: int
+
+
+def _unknown(value: float, n: int) -> Estimate:
+    return Estimate(value, np.nan, np.nan, np.nan, np.nan, np.nan, n)
+
+
+def _student(value: float, error: float, freedom: float | int, n: int) -> Estimate:
+    half95, half90 = (error * scipy_stats.t.ppf(q, freedom) for q in (0.975, 0.95))
+    p = 2 * scipy_stats.t.sf(abs(value) / error, freedom) if error > 0 else float(value == 0)
+    return Estimate(value, value - half95, value + half95, value - half90, value + half90, float(p), n)
+
+
+def mean_estimate(values: Sequence[float] | np.ndarray) -> Estimate:
+    """Return the mean of independent repetitions, such as paired differences, by Student's t."""
+    values = np.asarray(values, float)
+    n = len(values)
+    if n < 2:
+        return _unknown(float(values.mean()) if n else np.nan, n)
+    return _student(float(values.mean()), float(scipy_stats.sem(values)), n - 1, n)
+
+
+def difference_of_means(first: Sequence[float] | np.ndarray, second: Sequence[float] | np.ndarray) -> Estimate:
+    """Return mean(first) - mean(second) of two independent samples that may vary differently (Welch, 1947)."""
+    first, second = np.asarray(first, float), np.asarray(second, float)
+    n = min(len(first), len(second))
+    if n < 2:
+        return _unknown(float(first.mean() - second.mean()) if n else np.nan, n)
+    squares = np.array([scipy_stats.sem(sample) ** 2 for sample in (first, second)])
+    value, error = float(first.mean() - second.mean()), float(squares.sum() ** 0.5)
+    parts = squares**2 / (np.array([len(first), len(second)]) - 1)
+    return _student(value, error, float(squares.sum() ** 2 / parts.sum()) if error > 0 else 1.0, n)
+
+
+def difference_of_shares(first: Sequence[bool] | np.ndarray, second: Sequence[bool] | np.ndarray) -> Estimate:
+    """Return share(first) - share(second) of two samples, with Newcombe's intervals from Wilson's (1998, method 10).
+
+    The p-value is that of Fisher's exact test.
+    """
+    first, second = np.asarray(first, bool), np.asarray(second, bool)
+    n = min(len(first), len(second))
+    if n == 0:
+        return _unknown(np.nan, 0)
+    a, b = float(first.mean()), float(second.mean())
+
+    def limits(level: float) -> tuple[float, float]:
+        one, two = (
+            scipy_stats.binomtest(int(s.sum()), len(s)).proportion_ci(level, method="wilson") for s in (first, second)
+        )
+        return a - b - math.hypot(a - one.low, two.high - b), a - b + math.hypot(one.high - a, b - two.low)
+
+    (low, high), (low90, high90) = limits(0.95), limits(0.90)
+    table = [[int(s.sum()), int((~s).sum())] for s in (first, second)]
+    return Estimate(a - b, low, high, low90, high90, float(scipy_stats.fisher_exact(table).pvalue), n)
+
+
+def bootstrap_estimate(statistic: Callable[..., float], *sizes: int) -> Estimate:
+    """Return ``statistic(indices, ...)`` of samples of the given sizes, with expanded percentile intervals.
+
+    The statistic gets one array of indices per sample and may be anything that whole runs give: a minimum of the
+    mean curve, a crossing, a ratio less 1. Samples are resampled independently; a paired statistic has one. Plain
+    percentiles are too narrow for few repetitions: the levels are widened as Student's t widens those of a normal
+    mean, for the smallest sample (Hesterberg, 2015). The p-value is the level at which the interval first touches
+    0.
+    """
+    n = min(sizes)
+    value = float(statistic(*map(np.arange, sizes)))
+    if n < 2 or not np.isfinite(value):
+        return _unknown(value, n)
+    generator = np.random.default_rng(0)
+    draws = np.array([statistic(*(generator.integers(size, size=size) for size in sizes)) for _ in range(RESAMPLES)])
+    low, high, low90, high90 = (
+        float(np.quantile(draws, _expanded(level, n), method="inverted_cdf")) for level in (0.025, 0.975, 0.05, 0.95)
+    )
+    tail = max(min(np.mean(draws <= 0), np.mean(draws >= 0)), 0.5 / RESAMPLES)
+    p = 2 * scipy_stats.t.cdf(scipy_stats.norm.ppf(tail) * ((n - 1) / n) ** 0.5, n - 1)
+    return Estimate(value, low, high, low90, high90, min(1.0, float(p)), n)
+
+
+def _expanded(level: float, n: int) -> float:
+    """Return the level of the bootstrap distribution that stands for ``level`` at n repetitions."""
+    return float(scipy_stats.norm.cdf((n / (n - 1)) ** 0.5 * scipy_stats.t.ppf(level, n - 1)))
 
 
 def t_interval(values: Sequence[float] | np.ndarray) -> Interval:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from dropout_uncertainty import records, runs
-from dropout_uncertainty.exploration import agent, experiment, world
+from dropout_uncertainty.errors import UserError
+from dropout_uncertainty.exploration import agent, experiment
 from dropout_uncertainty.exploration.experiment import AS_DEMO, CONFIGS, WIDE, AgentConfig, Config, start
+from dropout_uncertainty.exploration.foraging import world
+from dropout_uncertainty.runs import execute, records
 
 #: Small and quick to learn, but with every feature of the published configs.
 SMALL = replace(
@@ -19,13 +21,24 @@ MIXED = replace(
 )
 
 
+THOMPSON = AgentConfig("thompson", (0.1, 0.2, 0.0))
+#: Agents that act on draws of their own.
+HELD = replace(
+    SMALL,
+    agents=(
+        replace(THOMPSON, hold=200, draws_until=900),
+        AgentConfig("thompson", drop_acting=(0.0, 0.2, 0.1), hold=10),
+    ),
+)
+
+
 def run(process, steps=None):
     for _ in range(process.total - process.done if steps is None else steps):
         process.advance()
     return process
 
 
-@pytest.mark.parametrize("config", [SMALL, MIXED], ids=["as-demo", "mixed"])
+@pytest.mark.parametrize("config", [SMALL, MIXED, HELD], ids=["as-demo", "mixed", "held"])
 def test_a_resumed_run_ends_with_the_same_arrays(config, tmp_path):
     whole = run(start(config, (100, 101))).result()
     interrupted = run(start(config, (100, 101)), 2)
@@ -36,7 +49,7 @@ def test_a_resumed_run_ends_with_the_same_arrays(config, tmp_path):
     assert records.checksum(run(resumed).result()) == records.checksum(whole)
 
 
-@pytest.mark.parametrize("config", [SMALL, MIXED], ids=["as-demo", "mixed"])
+@pytest.mark.parametrize("config", [SMALL, MIXED, HELD], ids=["as-demo", "mixed", "held"])
 def test_a_seed_alone_agrees_with_itself_among_others(config):
     # the record is rounded, so what it is made from is compared
     among = run(start(config, (100, 101), precision="float64"), 2)
@@ -120,9 +133,70 @@ def test_learning_starts_at_the_tick_the_original_does():
     assert not torch.equal(untouched, process.agents[0].network.parameters)
 
 
+def masks_in_learning(config, ticks):
+    """Return the masks that the first agent learned with, by tick, up to ``ticks``."""
+    process, seen = start(config, (100, 101)), {}
+    mine = process.agents[0]
+    learn = mine.network.learn
+
+    def spy(states, taken, reward, masks, **settings):
+        seen[process.world.clock + 1] = [None if mask is None else mask.clone() for mask in masks]
+        return learn(states, taken, reward, masks, **settings)
+
+    mine.network.learn = spy
+    run(process, ticks // 500)
+    return seen
+
+
+@pytest.mark.parametrize("hold", [1, 10, 100, 200])
+def test_a_draw_is_held_for_as_many_ticks_as_said(hold):
+    seen = masks_in_learning(replace(SMALL, agents=(replace(THOMPSON, hold=hold),)), 500)
+    acting = {tick: masks[0][:, -2] for tick, masks in seen.items()}
+    for tick in range(210, 500):
+        same = torch.equal(acting[tick], acting[tick + 1])
+        assert same == (tick % hold != 0)
+        assert not torch.equal(seen[tick][0][:, 0], seen[tick + 1][0][:, 0])  # learning draws at every tick
+    assert not torch.equal(acting[210][0], acting[210][1])  # replicas draw for themselves
+
+
+def test_an_agent_may_act_on_draws_and_learn_without():
+    agent = AgentConfig("thompson", drop_acting=(0.0, 0.2, 0.0))
+    seen = masks_in_learning(replace(SMALL, agents=(agent,)), 500)
+    kept = torch.stack([masks[1][:, -2] for masks in seen.values()])
+    assert (kept > 0).float().mean().item() == pytest.approx(0.8, abs=4 * (0.16 / kept.numel()) ** 0.5)
+    assert set(kept.unique().tolist()) == {0.0, 1.25}
+    for masks in seen.values():
+        assert masks[0] is None
+        assert masks[2] is None
+        assert (masks[1][:, :-2] == 1).all()
+        assert (masks[1][:, -1] == 1).all()
+
+
+def test_learning_does_not_depend_on_what_is_acted_on():
+    """The draws of learning are the same ones; until actions differ, so are the weights."""
+    drawn, mean = (
+        run(start(replace(SMALL, burn_in=1400, anneal_end=1500, agents=(agent,)), (100,)), 2).agents[0].network
+        for agent in (THOMPSON, replace(THOMPSON, policy="greedy"))
+    )
+    assert torch.equal(drawn.parameters, mean.parameters)
+
+
+def test_masks_are_switched_off_at_the_tick_said():
+    def log(agent):
+        return run(start(replace(SMALL, agents=(agent,), ticks=1000), (100, 101))).log
+
+    until, always = log(replace(THOMPSON, draws_until=500)), log(THOMPSON)
+    never, greedy = log(replace(THOMPSON, draws_until=1)), log(replace(THOMPSON, policy="greedy"))
+    for name in always:
+        np.testing.assert_array_equal(until[name][..., 0], always[name][..., 0])
+        np.testing.assert_array_equal(never[name], greedy[name])
+    assert not until["explored"][..., 1].any()
+    assert always["explored"][..., 1].all()
+
+
 def test_a_run_reaches_its_record(tmp_path):
-    unit = runs.Unit("exploration", "small", start, SMALL, (100, 101))
-    record = runs.run_unit(unit, folder=tmp_path)
+    unit = execute.Unit("exploration", "small", start, SMALL, (100, 101))
+    record = execute.run_unit(unit, folder=tmp_path)
     assert record.arrays["average_reward"].shape == (2, 2, 3)
     assert record.header["config"]["agents"][0] == {"policy": "thompson", "drop": [0.0, 0.2, 0.0]}
 
@@ -136,6 +210,8 @@ def test_published_configs_say_what_they_are():
     assert all(len(config.agents) == 1 for name, config in CONFIGS.items() if name.startswith("ours"))
     plain, dropout = WIDE["wide"], WIDE["wide-dropout"]
     assert replace(plain, agents=dropout.agents) == dropout
+    assert records.config_hash(CONFIGS["two-by-two/dropout-draw"]) == records.config_hash(CONFIGS["ours-thompson"])
+    assert records.config_hash(CONFIGS["two-by-two/plain-mean"]) == records.config_hash(CONFIGS["ours-greedy"])
     (unit,) = experiment.units("as-demo")
     assert unit.label == "exploration/as-demo/000-009"
 
@@ -165,7 +241,7 @@ def test_bad_arguments_are_refused():
         start(SMALL, ())
     with pytest.raises(ValueError, match="seed"):
         start(SMALL, (-1,))
-    with pytest.raises(ValueError, match="unknown config"):
+    with pytest.raises(UserError, match="unknown config"):
         experiment.units("as-dreamt")
     with pytest.raises(ValueError, match="at least one agent"):
         world.World(np.zeros((1, 30, 3)), agents=0)

@@ -6,8 +6,8 @@ killed continues from the list of acquired points alone and ends with the same a
 """
 
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,15 @@ from torch import Tensor
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS
+from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
+from dropout_uncertainty.active_learning.ensemble import Ensemble
 from dropout_uncertainty.active_learning.loop import acquire
-from dropout_uncertainty.active_learning.network import BayesianCNN
-from dropout_uncertainty.active_learning.pool import Pool, split
-from dropout_uncertainty.runs import Unit, precision_dtype
+from dropout_uncertainty.active_learning.network import CLASSES, BayesianCNN
+from dropout_uncertainty.active_learning.noisy_pools import KINDS, NO_LABEL, Task, make_task
+from dropout_uncertainty.active_learning.pools import Pool, split
+from dropout_uncertainty.runs import sweep
+from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = ["CONFIGS", "EXPERIMENT", "ROWS", "ActiveLearning", "CNNLearner", "Config", "start", "units"]
 
@@ -36,9 +41,9 @@ class Config:
     """Everything that decides the science of one row; `script` means the original program of that row."""
 
     acquisition: str = "random"
-    """Acquisition function: "random" or a name in ``acquisition.ACQUISITIONS`` (thesis 5.2)."""
+    """Acquisition function: "random" or a name in ``ACQUISITIONS`` (thesis 5.2) or ``BATCH_ACQUISITIONS``."""
     approximation: str = "dropout"
-    """What scores the pool: "dropout" (MC dropout) or "softmax" (one deterministic pass) (thesis 5.2)."""
+    """What scores the pool: "dropout" (MC dropout), "softmax" (one deterministic pass) (thesis 5.2) or "ensemble"."""
     kernel: int = 4
     """Side of the convolution kernels in pixels (thesis 5.2: 4; scripts of Random and Softmax Max Entropy: 3)."""
     drop: tuple[float, float] = (0.25, 0.5)
@@ -77,15 +82,29 @@ class Config:
     """Acquisition rounds (thesis 5.2: 100; scripts: 98, which ends at 1000 labels)."""
     mc_test_every: int = 0
     """Rounds between test errors averaged over ``draws`` weight draws; 0: never. The thesis uses weight scaling."""
+    even_minibatches: bool = field(default=False, metadata={"before": False})
+    """Whether the minibatches of an epoch are of equal size to one point, or the last is what is left (scripts)."""
+    pool_kind: str = field(default="clean", metadata={"before": "clean"})
+    """What the pool shows: one of ``noisy_pools.KINDS`` (not in the thesis)."""
+    ambiguous: float = field(default=0.5, metadata={"before": 0.5})
+    """Share of blended images in the pool of that kind (not in the thesis)."""
+    members: int = field(default=5, metadata={"before": 5})
+    """Networks of the ensemble where that scores the pool (not in the thesis)."""
 
     def __post_init__(self) -> None:
         """Raise ValueError where a setting cannot be run."""
-        if self.acquisition != "random" and self.acquisition not in ACQUISITIONS:
-            names = ", ".join(["random", *ACQUISITIONS])
-            raise ValueError(f"unknown acquisition function {self.acquisition!r}, choose one of {names}")
-        if self.approximation not in ("dropout", "softmax"):
-            raise ValueError(f"unknown approximation {self.approximation!r}, choose dropout or softmax")
-        for name in ("epochs", "batch", "draws", "per_class", "acquired"):
+        acquisitions = ["random", *ACQUISITIONS, *BATCH_ACQUISITIONS]
+        if self.acquisition not in acquisitions:
+            raise ValueError(
+                f"unknown acquisition function {self.acquisition!r}, choose one of {', '.join(acquisitions)}"
+            )
+        if self.approximation not in ("dropout", "softmax", "ensemble"):
+            raise ValueError(f"unknown approximation {self.approximation!r}, choose dropout, softmax or ensemble")
+        if self.pool_kind not in KINDS:
+            raise ValueError(f"unknown pool_kind {self.pool_kind!r}, choose one of {', '.join(KINDS)}")
+        if not 0 <= self.ambiguous <= 1:
+            raise ValueError(f"ambiguous is a share between 0 and 1, got {self.ambiguous}")
+        for name in ("epochs", "batch", "draws", "per_class", "acquired", "members"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.rounds < 0 or self.validation < 0 or (self.subset is not None and self.subset < 1):
@@ -124,6 +143,48 @@ def _family(name: str, base: Config) -> dict[str, Config]:
     }
 
 
+#: When do weight draws save labels? 20 to 320 labels, from pools of four kinds.
+POOLS = replace(OURS, rounds=30, even_minibatches=True)
+POOLS_QUICK = replace(POOLS, rounds=2, acquired=40, draws=20, subset=500)
+#: The rows that are run on each kind of pool, beside Random.
+POOL_ROWS: dict[str, tuple[str, ...]] = {
+    "ambiguous": (
+        "softmax/max-entropy",
+        "dropout/max-entropy",
+        "dropout/bald",
+        "dropout/variation-ratios",
+        "ensemble/bald",
+        "ensemble/max-entropy",
+        "softmax/least-confidence",
+        "softmax/margin",
+        "dropout/mean-std",
+    ),
+    "clean": ("softmax/max-entropy", "dropout/max-entropy", "dropout/bald", "ensemble/bald", "softmax/margin"),
+    "repeated": ("softmax/max-entropy", "dropout/bald", "dropout/batch-bald", "dropout/power-bald"),
+    "irrelevant": ("softmax/max-entropy", "dropout/bald"),
+}
+#: Four labels for each of the digits 0-4 are 20 labels too.
+_KIND: dict[str, dict[str, Any]] = {"irrelevant": {"per_class": 4}}
+#: Changes of the ambiguous pool's setting, and the rows that they concern.
+_CONTRAST, _BALD = ("random", "softmax/max-entropy", "dropout/bald"), ("dropout/bald",)
+SENSITIVITY: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "drop-halved": ({"drop": (0.125, 0.25)}, _CONTRAST),
+    # Twice 0.5 would drop everything; half of what was kept is kept.
+    "drop-doubled": ({"drop": (0.5, 0.75)}, _CONTRAST),
+    "draws-10": ({"draws": 10}, _BALD),
+    "draws-1000": ({"draws": 1_000}, _BALD),
+    "masks-per-image": ({"masks_per_image": True}, _BALD),
+    "ambiguous-10": ({"ambiguous": 0.1}, _CONTRAST),
+    "ambiguous-90": ({"ambiguous": 0.9}, _CONTRAST),
+}
+
+
+def _pool_config(base: Config, kind: str, row: str, **changes: Any) -> Config:
+    approximation, _, acquisition = row.rpartition("/")
+    base = replace(base, approximation=approximation or "dropout", acquisition=acquisition)
+    return replace(base, pool_kind=kind, **_KIND.get(kind, {}), **changes)
+
+
 #: Named configs, "family/row".
 CONFIGS: dict[str, Config] = {
     **_family("ours", OURS),
@@ -136,41 +197,67 @@ CONFIGS: dict[str, Config] = {
     ),
     **_family("as-written", AS_WRITTEN),
     **_family("quick", QUICK),
+    **{
+        f"pools/{kind}/{row}": _pool_config(POOLS, kind, row)
+        for kind, rows in POOL_ROWS.items()
+        for row in ("random", *rows)
+    },
+    **{
+        f"pools-sensitivity/{change}/{row}": _pool_config(POOLS, "ambiguous", row, **values)
+        for change, (values, rows) in SENSITIVITY.items()
+        for row in rows
+    },
+    **{f"pools-quick/ambiguous/{row}": _pool_config(POOLS_QUICK, "ambiguous", row) for row in _CONTRAST},
 }
 
 
 class CNNLearner:
     """R Bayesian CNNs on MNIST, retrained from scratch in every round (a ``loop.Learner``).
 
+    Args:
+        config: see ``Config``.
+        seeds: one per replica.
+        path: further names of the streams, so that networks of the same seed differ.
+        device: where it computes.
+        precision: of convolutions and matrix products.
+        data: one for all replicas, or one per replica.
+
     Attributes:
         network: the networks of the last ``fit``.
     """
 
     network: BayesianCNN
+    classes = CLASSES
 
     def __init__(
         self,
         config: Config,
         seeds: Sequence[int],
-        *,
+        *path: str | int,
         device: str = "cpu",
         precision: str = "float32",
-        data: mnist.Mnist | None = None,
+        data: mnist.Mnist | Sequence[mnist.Mnist] | None = None,
     ) -> None:
-        self.config, self.seeds, self.device = config, tuple(seeds), torch.device(device)
+        self.config, self.seeds, self.path, self.device = config, tuple(seeds), path, torch.device(device)
         self.compute = precision_dtype(precision)
-        self.data = data or mnist.load()
-        self.images = self.data.train_images.to(self.device)
-        self.labels = self.data.train_labels.to(self.device)
+        data = data or mnist.load()
+        self.data = [data] * len(self.seeds) if isinstance(data, mnist.Mnist) else list(data)
+        on_device = {id(d): (d.train_images.to(device), d.train_labels.to(device)) for d in self.data}
+        self.images, self.labels = zip(*(on_device[id(d)] for d in self.data), strict=True)
         self.round = -1
         self.scored = 0
 
     def fit(self, labelled: Int[Tensor, "R n"]) -> None:
         """Train new networks on the given training points: Adam, fresh weight draws in every step."""
         self.round, self.scored = self.round + 1, 0
-        config, size = self.config, labelled.shape[1]
+        config = self.config
+        images, labels = gather(self.images, labelled), gather(self.labels, labelled)
+        if config.pool_kind == "irrelevant":  # what teaches nothing takes no part; units are of one replica
+            images, labels = images[:, labels[0] != NO_LABEL], labels[:, labels[0] != NO_LABEL]
+        size = labels.shape[1]
         self.network = BayesianCNN(
             self.seeds,
+            *self.path,
             self.round,
             kernel=config.kernel,
             blocks=2 if config.four_convolutions_at_start and self.round == 0 else 1,
@@ -179,10 +266,9 @@ class CNNLearner:
             compute=self.compute,
         ).to(self.device)
         adam = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, fused=True)
-        images, labels = self.images[labelled], self.labels[labelled]
         replicas = torch.arange(len(self.seeds), device=self.device)[:, None]
         for step, order in enumerate(self._minibatches(size)):
-            masks = self.network.draw(order.shape[1], "fit", self.round, step)
+            masks = self.network.draw(order.shape[1], "fit", *self.path, self.round, step)
             log_probs = self.network(images[replicas, order], masks)
             # The mean over a minibatch of each replica; replicas add up, so that their gradients stay apart.
             errors = F.nll_loss(log_probs.flatten(0, 1), labels[replicas, order].flatten(), reduction="sum")
@@ -192,15 +278,19 @@ class CNNLearner:
             adam.step()
 
     def _minibatches(self, size: int) -> Iterator[Int[Tensor, "R B"]]:
+        path = ("data", *self.path, self.round)
         for epoch in range(self.config.epochs):
-            order = rng.stacked(lambda g: torch.randperm(size, generator=g), self.seeds, "data", self.round, epoch)
-            yield from order.to(self.device).split(self.config.batch, 1)
+            order = rng.stacked(lambda g: torch.randperm(size, generator=g), self.seeds, *path, epoch).to(self.device)
+            if self.config.even_minibatches:
+                yield from order.tensor_split(-(-size // self.config.batch), 1)
+            else:
+                yield from order.split(self.config.batch, 1)
 
     @torch.inference_mode()
     def log_probs(self, candidates: Int[Tensor, "R M"], draws: int) -> Float[Tensor, "R S M 10"]:
         """Return log-probabilities of training points under ``draws`` weight draws; 0: the deterministic pass."""
         return self._predict(
-            [self.images[part] for part in candidates.to(self.device).split(EVALUATION_BATCH, 1)], draws
+            [gather(self.images, part) for part in candidates.to(self.device).split(EVALUATION_BATCH, 1)], draws
         )
 
     def _predict(self, batches: Sequence[Float[Tensor, "R B 28 28"]], draws: int) -> Float[Tensor, "R S M 10"]:
@@ -220,14 +310,18 @@ class CNNLearner:
     def test_error(self, draws: int = 0) -> Float[np.ndarray, " R"]:
         """Return the test error in %, with weight scaling (``draws=0``) or averaged over weight draws."""
         wrong = torch.zeros(len(self.seeds))
-        labels = self.data.test_labels.to(self.device)
-        for images, truth in zip(
-            self.data.test_images.split(EVALUATION_BATCH), labels.split(EVALUATION_BATCH), strict=True
-        ):
+        data = self.data[0]  # the test set is the same for all
+        labels = data.test_labels.to(self.device)
+        for images, truth in zip(data.test_images.split(EVALUATION_BATCH), labels.split(EVALUATION_BATCH), strict=True):
             batch = images.to(self.device).expand(len(self.seeds), -1, -1, -1)
             mean = self._predict([batch], draws).double().logsumexp(1)
             wrong += (mean.argmax(-1) != truth).sum(1).cpu()
         return (100 * wrong / len(labels)).numpy()
+
+
+def gather(arrays: Sequence[Tensor], indices: Int[Tensor, "R n"]) -> Tensor:
+    """Return the entries [R, n, ...] at each replica's indices in its own array."""
+    return torch.stack([array[chosen] for array, chosen in zip(arrays, indices.to(arrays[0].device), strict=True)])
 
 
 class ActiveLearning:
@@ -237,23 +331,28 @@ class ActiveLearning:
         self, config: Config, seeds: Sequence[int], *, device: str, precision: str, data: mnist.Mnist | None = None
     ) -> None:
         self.config, self.seeds = config, tuple(seeds)
-        self.learner = CNNLearner(config, seeds, device=device, precision=precision, data=data)
-        self.total, self.done = config.rounds + 1, 0
-        splits = [
-            split(
-                self.learner.data.train_labels,
-                rng.generator(seed, "data"),
-                per_class=config.per_class,
-                validation=config.validation,
-                pool=config.pool,
-            )
-            for seed in seeds
-        ]
-        self.pools = [Pool(s.initial, s.pool[: config.random_from]) for s in splits]
-        replicas, shape = len(self.seeds), (len(self.seeds), config.rounds)
+        self.tasks = [task_of(config, seed, data or mnist.load()) for seed in seeds]
+        options: dict[str, Any] = {"device": device, "precision": precision, "data": [task.data for task in self.tasks]}
+        self.learner: CNNLearner | Ensemble = CNNLearner(config, seeds, **options)
+        if config.approximation == "ensemble":
+            others = [CNNLearner(config, seeds, "member", m, **options) for m in range(1, config.members)]
+            self.learner = Ensemble([self.learner, *others])
+        self.pools = [Pool(t.split.initial, t.split.pool[: config.random_from]) for t in self.tasks]
+        self.labels = self._growth()
+        self.total, self.done = len(self.labels), 0
+        replicas, shape = len(self.seeds), (len(self.seeds), self.total - 1)
         self.error = np.full((replicas, self.total), np.nan, np.float32)
         self.mc_error = np.full((replicas, self.total), np.nan, np.float32)
         self.tied, self.all_tied = np.zeros(shape, np.int32), np.zeros(shape, bool)
+
+    def _growth(self) -> Int[np.ndarray, " T"]:
+        """Return the number of labels at each step: rounds are as large as the candidates, and end with the pool."""
+        config, pool = self.config, self.pools[0]
+        size, subset = len(pool.all), None if config.acquisition == "random" else config.subset
+        each = min(config.acquired, size, subset or size)
+        most = config.rounds * each if config.replacement else size
+        grown = np.unique(np.minimum(each * np.arange(config.rounds + 1), most))
+        return (len(pool.labelled) + grown).astype(np.int32)
 
     def advance(self) -> str:
         """Train on what is labelled, measure the test error, and acquire the next points."""
@@ -263,7 +362,7 @@ class ActiveLearning:
         self.error[:, r] = self.learner.test_error()
         if config.mc_test_every and r % config.mc_test_every == 0:
             self.mc_error[:, r] = self.learner.test_error(config.draws)
-        if r < config.rounds:
+        if r + 1 < self.total:
             self._acquire(r)
         self.done += 1
         return f"{self.pools[0].labelled.shape[0]} labels, error {self.error[:, r].mean():.2f} %"
@@ -290,7 +389,7 @@ class ActiveLearning:
 
     def state(self) -> dict[str, Any]:
         """Return what a killed run continues from: the acquired points and the measurements so far."""
-        acquired = [pool.labelled[self._initial :] for pool in self.pools]
+        acquired = [pool.labelled[self.labels[0] :] for pool in self.pools]
         return {
             "done": self.done,
             "acquired": torch.stack(acquired),
@@ -301,7 +400,7 @@ class ActiveLearning:
         """Continue from ``state()`` of a process with the same config and seeds, itself at step 0."""
         self.done = state["done"]
         for pool, acquired in zip(self.pools, state["acquired"], strict=True):
-            for indices in acquired.split(self.config.acquired):
+            for indices in acquired.split(np.diff(self.labels)[: self.done].tolist()):
                 pool.acquire(indices, keep=self.config.replacement)
         for name, array in self._measured():
             array[:] = state[name].numpy()
@@ -310,19 +409,36 @@ class ActiveLearning:
         """Return the arrays of the record.
 
         ``labels`` [T] number of labels; ``error`` and ``mc_error`` [R, T] test error in % (NaN: not measured);
-        ``points`` [R, 20 + 10 rounds] training-set indices in the order of labelling; ``tied`` [R, rounds] candidates
-        that share the score of the last one chosen; ``all_tied`` [R, rounds].
+        ``points`` [R, labels[-1]] training-set indices in the order of labelling; ``tied`` [R, T - 1] candidates that
+        share the score of the last one chosen; ``all_tied`` [R, T - 1]. Where the pool is not clean, ``wasted``
+        [R, T - 1] is the share of noise or repetition among the points of each round. T is 1 + rounds, or less if the
+        pool runs out.
         """
-        labels = self._initial + self.config.acquired * np.arange(self.total)
         points = torch.stack([pool.labelled for pool in self.pools]).numpy().astype(np.int32)
-        return {"labels": labels.astype(np.int32), "points": points, **dict(self._measured())}
+        arrays = {"labels": self.labels, "points": points, **dict(self._measured())}
+        if self.config.pool_kind != "clean":
+            arrays["wasted"] = np.stack([self._wasted(*pair) for pair in zip(self.tasks, self.pools, strict=True)])
+        return arrays
 
-    @property
-    def _initial(self) -> int:
-        return 10 * self.config.per_class
+    def _wasted(self, task: Task, pool: Pool) -> Float[np.ndarray, " rounds"]:
+        acquired = task.wasted(pool.labelled)[self.labels[0] :].float()
+        rounds = acquired.split(np.diff(self.labels)[: self.done].tolist())
+        return np.array([points.mean() for points in rounds], np.float32)
 
     def _measured(self) -> list[tuple[str, np.ndarray]]:
         return [("error", self.error), ("mc_error", self.mc_error), ("tied", self.tied), ("all_tied", self.all_tied)]
+
+
+def task_of(config: Config, seed: int, data: mnist.Mnist) -> Task:
+    """Return what the pool of one seed shows."""
+    parts = split(
+        data.train_labels,
+        rng.generator(seed, "data"),
+        per_class=config.per_class,
+        validation=config.validation,
+        pool=config.pool,
+    )
+    return make_task(config.pool_kind, data, parts, seed, ambiguous=config.ambiguous)
 
 
 def start(config: Config, seeds: Sequence[int], *, device: str = "cpu", precision: str = "bfloat16") -> ActiveLearning:
@@ -330,7 +446,38 @@ def start(config: Config, seeds: Sequence[int], *, device: str = "cpu", precisio
     return ActiveLearning(config, seeds, device=device, precision=precision)
 
 
-def units(name: str, seeds: Sequence[int], *, device: str = "cpu", precision: str = "bfloat16") -> list[Unit]:
-    """Return the units of a named config: one per seed on a CPU, one of all seeds stacked on a GPU."""
-    groups = [tuple(seeds)] if device == "cuda" else [(seed,) for seed in seeds]
-    return [Unit(EXPERIMENT, name, start, CONFIGS[name], group, device, precision) for group in groups]
+def memory(config: Config) -> float:
+    """Return an estimate of the bytes that a repetition takes: features and predictions of the candidates it scores."""
+    side = (30 - 2 * config.kernel) // 2  # behind two convolutions and the pooling
+    features, activations = 32 * side**2, 32 * 2 * 28**2
+    pool = 54_980 if config.pool is None else config.pool
+    candidates = 0 if config.acquisition == "random" else min(config.subset or pool, pool)
+    scored = candidates * (2 * features + 3 * 10 * config.draws)
+    return 4.0 * (scored + EVALUATION_BATCH * (activations + features) + 5 * 128 * features)
+
+
+def _sweep(choose: Callable[[str], bool], precisions: Sequence[str], stacked: int) -> Sweep:
+    """Return the sweep of some configs: one seed per unit on a CPU, which one replica keeps busy."""
+    configs = {name: config for name, config in CONFIGS.items() if choose(name)}
+    return Sweep(EXPERIMENT, configs, start, precisions, {"cpu": 1, "cuda": stacked}, repetitions=5, memory=memory)
+
+
+def _teaches_nothing(name: str) -> bool:
+    return CONFIGS[name].pool_kind == "irrelevant"
+
+
+SWEEPS = (
+    _sweep(lambda name: not name.startswith("pools"), ("bfloat16", "float32", "float64"), 10),
+    _sweep(
+        lambda name: name.startswith("pools") and not _teaches_nothing(name), ("float32", "bfloat16", "float64"), 10
+    ),
+    # What teaches nothing differs between replicas, and with it the size of their training sets: no stacking.
+    _sweep(lambda name: name.startswith("pools") and _teaches_nothing(name), ("float32", "bfloat16", "float64"), 1),
+)
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units(SWEEPS, name, seeds, device, precision)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.exploration import world
+from dropout_uncertainty.bayes import Masks
+from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.exploration.policies import Chance, Policy
 from dropout_uncertainty.exploration.q_network import MaskStream, QNetwork, td_error
 from dropout_uncertainty.exploration.replay import ReplayMemory
@@ -39,6 +40,9 @@ class Agent:
         hidden: widths of the hidden layers.
         seeds: one per replica.
         index: number of the agent in its world; part of the names of its random streams.
+        drop_acting: drop probabilities of the draws that are acted on; None for those of learning.
+        hold: ticks for which a draw is held in acting; a divisor or a multiple of ``CHUNK``.
+        draws_until: last tick at which a draw is acted on, later the mean weights; None for no end.
         capacity: transitions in the replay memory.
         learning_start: the agent learns once the memory holds more transitions than this.
         batch, discount, rate, decay: of the learning step, see ``QNetwork.learn``.
@@ -53,6 +57,9 @@ class Agent:
         seeds: Sequence[int],
         *,
         index: int = 0,
+        drop_acting: Sequence[float] | None = None,
+        hold: int = 1,
+        draws_until: int | None = None,
         capacity: int = 30_000,
         learning_start: int = 1000,
         batch: int = 64,
@@ -64,6 +71,11 @@ class Agent:
         device: str = "cpu",
     ) -> None:
         self.policy, self.drop, self.seeds, self.index = policy, tuple(drop), tuple(seeds), index
+        self.hold, self.draws_until = hold, np.inf if draws_until is None else draws_until
+        # the draw of every tick is the last one of the learning step, unless it differs from those
+        own_draws = policy.draws_weights and (hold > 1 or drop_acting is not None)
+        self.drop_acting = tuple(self.drop if drop_acting is None else drop_acting) if own_draws else None
+        self.ones: dict[int, Tensor] = {}
         self.batch, self.learning_start = batch, learning_start
         self.learning = {"discount": discount, "rate": rate, "decay": decay}
         self.dtype, self.device, replicas = dtype, device, len(self.seeds)
@@ -93,6 +105,11 @@ class Agent:
             self.seeds, self.network.sizes[:-1], drop, CHUNK, 2 * self.batch + 1, self.index, chunk,
             dtype=self.dtype, device=self.device,
         )  # fmt: skip
+        if self.drop_acting is not None:
+            self.held = MaskStream(
+                self.seeds, self.network.sizes[:-1], self.drop_acting, max(1, CHUNK // self.hold), 1, self.index,
+                "acting", chunk // max(1, self.hold // CHUNK), dtype=self.dtype, device=self.device,
+            )  # fmt: skip
         policy = self._uniform("policy", chunk, 2 + C)
         with np.errstate(divide="ignore"):
             self.chance = policy[..., 0], policy[..., 1], -np.log(-np.log(policy[..., 2:]))
@@ -113,7 +130,8 @@ class Agent:
         chance = Chance(*(numbers[step] for numbers in self.chance))
         if self.memory.size > self.learning_start:
             drawn, plain = self._learn(step)
-            action = self.policy(drawn if self.policy.draws_weights else plain, chance, tick)
+            draws = self.policy.draws_weights and tick <= self.draws_until
+            action = self.policy(drawn if draws else plain, chance, tick)
             explores = action != plain.argmax(-1)
         else:
             action = (chance.which * C).astype(np.int64)
@@ -146,11 +164,32 @@ class Agent:
         rows = self.memory.read(self.plan.rows[step], out=self.minibatch)
         states, further = rows[..., :STATE_SIZE], rows[..., STATE_SIZE:]
         taken, reward = further[:, : self.batch], further[:, self.batch : 2 * self.batch, 0]
-        q, error = self.network.learn(states, taken, reward, self.masks.at(step), **self.learning)
+        q, error = self.network.learn(states, taken, reward, self._draws(step), **self.learning)
         self.squared_error += error.square().mean(1)
         self.steps += 1
         drawn, plain = q.cpu().numpy().reshape(size, 2, C).transpose(1, 0, 2)
         return drawn, plain
+
+    def _draws(self, step: int) -> Masks:
+        """Return a draw for each row of the minibatch: of learning, then the one acted on, and none for the last row.
+
+        The tensors are overwritten by the next call.
+        """
+        masks = self.masks.at(step)
+        if self.drop_acting is None:
+            return masks
+        held = self.held.at(step // self.hold if self.hold < CHUNK else 0)
+        return tuple(self._with_held(layer, mask, held[layer]) for layer, mask in enumerate(masks))
+
+    def _with_held(self, layer: int, mask: Tensor | None, held: Tensor | None) -> Tensor | None:
+        """Return the mask of a layer with the draw that is acted on put in; ``mask`` None: no dropout in learning."""
+        if mask is None and held is not None:
+            if layer not in self.ones:
+                self.ones[layer] = held.new_ones(len(self.seeds), 2 * self.batch + 2, held.shape[-1])
+            mask = self.ones[layer]
+        if mask is not None:
+            mask[:, 2 * self.batch] = 1.0 if held is None else held[:, 0]
+        return mask
 
     def mean_squared_error(self) -> Float[np.ndarray, " R"]:
         """Return the mean squared TD error of the minibatches since the last call; NaN if there were none."""

@@ -9,14 +9,17 @@ import torch
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import check_probability
-from dropout_uncertainty.exploration import world
-from dropout_uncertainty.exploration.agent import CHUNK, Agent
+from dropout_uncertainty.exploration.agent import CHUNK, STATE_SIZE, Agent
+from dropout_uncertainty.exploration.foraging import world
+from dropout_uncertainty.exploration.foraging.world import Rules, World
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
-from dropout_uncertainty.exploration.world import Rules, World
-from dropout_uncertainty.runs import Unit, precision_dtype
+from dropout_uncertainty.runs import sweep
+from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = [
-    "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "WIDE", "AgentConfig", "Config", "Foraging", "start", "units",
+    "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "TWO_BY_TWO", "WIDE", "AgentConfig", "Config", "Foraging",
+    "start", "units",
 ]  # fmt: skip
 
 #: Ticks per block, the unit in which results are kept: one point of the demo's plot.
@@ -37,6 +40,12 @@ class AgentConfig:
     """Behaviour policy, a key of ``POLICIES``."""
     drop: tuple[float, ...] = NO_DROPOUT
     """Drop probability before each weight layer: inputs, hidden 1, hidden 2."""
+    drop_acting: tuple[float, ...] | None = field(default=None, metadata={"before": None})
+    """Drop probabilities of the draws that are acted on; None: those of learning. Ours."""
+    hold: int = field(default=1, metadata={"before": 1})
+    """Ticks for which a draw is held in acting; the thesis takes a new one at every tick. Ours."""
+    draws_until: int | None = field(default=None, metadata={"before": None})
+    """Last tick at which a draw is acted on, later the mean weights; None: no end. Ours, after footnote 4."""
 
 
 #: The demo's Thompson agent has one dropout layer, behind the first hidden one (rl_demo.html), the text's has three.
@@ -142,11 +151,26 @@ WIDE = {
         ("wide-dropout", (200, 200), THOMPSON_OF_TEXT.drop),
     )
 }
+#: Is it exploration? Learning with and without dropout, by acting on a draw and on the mean weights (the four primary
+#: ones, first); draws no longer acted on in the second half; draws held for longer; and ε-greedy on the same seeds.
+TWO_BY_TWO = {
+    name: replace(OURS["thompson"], agents=(agent,))
+    for name, agent in (
+        ("dropout-draw", THOMPSON_OF_DEMO),
+        ("dropout-mean", AgentConfig("greedy", THOMPSON_OF_DEMO.drop)),
+        ("plain-draw", AgentConfig("thompson", drop_acting=THOMPSON_OF_DEMO.drop)),
+        ("plain-mean", AgentConfig("greedy")),
+        ("masks-off-late", replace(THOMPSON_OF_DEMO, draws_until=100_000)),
+        *((f"hold-{ticks}", replace(THOMPSON_OF_DEMO, hold=ticks)) for ticks in (10, 100, 1000)),
+        ("epsilon-greedy", AgentConfig("epsilon-greedy")),
+    )
+}
 PUBLISHED = {
     "as-demo": AS_DEMO,
     "as-written": AS_WRITTEN,
     **{f"ours-{name}": config for name, config in OURS.items()},
     **WIDE,
+    **{f"two-by-two/{name}": config for name, config in TWO_BY_TWO.items()},
 }
 
 
@@ -154,7 +178,8 @@ def shortened(config: Config) -> Config:
     """Return the version of a config for profile ``quick``."""
     if config.held_out_every:
         return replace(config, ticks=4_500, held_out_every=3)
-    return replace(config, ticks=15_000 if len(config.agents) > 1 else 9_000)
+    agents = tuple(replace(agent, draws_until=agent.draws_until and 6_000) for agent in config.agents)
+    return replace(config, agents=agents, ticks=15_000 if len(agents) > 1 else 9_000)
 
 
 CONFIGS: dict[str, Config] = PUBLISHED | {f"quick/{name}": shortened(config) for name, config in PUBLISHED.items()}
@@ -204,6 +229,7 @@ class Foraging:
         held_out = config.memory // (config.held_out_every - 1) if config.held_out_every else 0
         return Agent(
             make_policy(agent.policy, config), agent.drop, config.hidden, self.seeds, index=index,
+            drop_acting=agent.drop_acting, hold=agent.hold, draws_until=agent.draws_until,
             capacity=config.memory, learning_start=config.learning_start, batch=config.batch, discount=config.discount,
             rate=config.learning_rate, decay=config.l2_decay, held_out=held_out, dtype=dtype, device=device,
         )  # fmt: skip
@@ -304,12 +330,20 @@ def start(config: Config, seeds: Sequence[int], device: str = "cpu", precision: 
     return Foraging(config, seeds, device=device, precision=precision)
 
 
-def units(name: str, seeds: Sequence[int] = tuple(range(10)), device: str = "cpu") -> list[Unit]:
-    """Return the work of a named config: one unit, as all seeds run together.
+def memory(config: Config) -> float:
+    """Return an estimate of the bytes that a repetition takes: its replay memories, and the copies for a checkpoint."""
+    held_out = config.memory // (config.held_out_every - 1) if config.held_out_every else 0
+    rows = 2 * (config.memory + held_out)
+    return 4.0 * len(config.agents) * rows * (STATE_SIZE + len(world.ACTIONS)) * 5
 
-    Raises:
-        ValueError: if there is no config of that name.
-    """
-    if name not in CONFIGS:
-        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
-    return [Unit(EXPERIMENT, name, start, CONFIGS[name], tuple(seeds), device)]
+
+SWEEP = Sweep(
+    EXPERIMENT, CONFIGS, start, ("float32", "float64"), {"cpu": 20, "cuda": 40}, repetitions=10, memory=memory
+)
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units([SWEEP], name, seeds, device, precision)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from dropout_uncertainty import records
 from dropout_uncertainty.exploration.deep_sea.experiment import AGENTS, CONFIGS, REGRET, TIMES, WINDOW, start, units
+from dropout_uncertainty.runs import records
+from dropout_uncertainty.runs.execute import RunError
 
 SMALL = {
     name: replace(CONFIGS[f"deep-sea/{name}/5"], size=6, episodes=300, memory=300, batch=16, hidden=(20, 20))
@@ -89,7 +90,7 @@ def test_seeds_are_cut_into_units():
     parts = [unit.seeds for unit in units("deep-sea/ensemble/10", range(25))]
     assert [len(part) for part in parts] == [10, 10, 5]
     assert sum(parts, ()) == tuple(range(25))
-    with pytest.raises(ValueError, match="unknown config 'deep-sea/greed/10'"):
+    with pytest.raises(RunError, match="unknown config 'deep-sea/greed/10'"):
         units("deep-sea/greed/10")
 
 

@@ -16,7 +16,9 @@ from jaxtyping import Bool, Float
 from dropout_uncertainty.bayes import check_probability
 from dropout_uncertainty.exploration.deep_sea.agent import EPISODES, HELD, Agent, Held
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
-from dropout_uncertainty.runs import Unit, precision_dtype
+from dropout_uncertainty.runs import sweep
+from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = [
     "AGENTS", "CONFIGS", "REGRET", "SIZES", "TIMES", "WINDOW", "Config", "Diving", "mean_regret", "start",
@@ -242,15 +244,23 @@ def start(config: Config, seeds: Sequence[int], device: str = "cpu", precision: 
     return Diving(config, seeds, device=device, precision=precision)
 
 
-def units(name: str, seeds: Sequence[int] = tuple(range(20)), device: str = "cpu") -> list[Unit]:
-    """Return the work of a named config, some seeds per unit.
+def bytes_per_seed(config: Config) -> float:
+    """Return the memory that a replica takes: its replay memories, of two rows of three numbers a transition."""
+    return config.members * config.memory * 24
 
-    Raises:
-        ValueError: if there is no config of that name.
-    """
-    if name not in CONFIGS:
-        raise ValueError(f"unknown config {name!r}, choose one of {', '.join(CONFIGS)}")
-    config = CONFIGS[name]
-    each = len(seeds) if config.members == 1 else 10
-    parts = [tuple(seeds[first : first + each]) for first in range(0, len(seeds), each or 1)]
-    return [Unit(EXPERIMENT, name, start, config, part, device) for part in parts]
+
+def _sweep(single: bool, seeds: int) -> Sweep:
+    configs = {name: config for name, config in CONFIGS.items() if (config.members == 1) == single}
+    group = {"cpu": seeds, "cuda": seeds}
+    return Sweep(EXPERIMENT, configs, start, ("float32", "float64"), group, repetitions=20, memory=bytes_per_seed)
+
+
+#: A unit has so many networks that calls cost little beside arithmetic.
+SWEEPS = _sweep(single=True, seeds=40), _sweep(single=False, seeds=10)
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units(SWEEPS, name, seeds, device, precision)

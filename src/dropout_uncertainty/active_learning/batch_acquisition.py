@@ -1,0 +1,101 @@
+"""Acquisition functions that choose a whole batch rather than the points with the highest scores.
+
+The highest BALD scores of a round can belong to images that are alike, and then most of the batch repeats what its
+first image says. BatchBALD (Kirsch et al., 2019) scores a batch by the mutual information between all of its labels
+and the weights; power-BALD (Kirsch et al., 2023) perturbs the scores of BALD, which costs nothing.
+
+Each function takes log-probabilities [S, N, C], the size of the batch and a generator, and returns positions.
+"""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float, Int
+from torch import Generator, Tensor
+
+from dropout_uncertainty.active_learning.acquisition import p_log_q, score, select
+
+__all__ = ["BATCH_ACQUISITIONS", "batch_bald", "power_bald"]
+
+#: Joint outcomes of the points chosen so far that are enumerated; beyond that as many are sampled.
+OUTCOMES = 1_000
+#: Numbers held at a time: outcomes x candidates x classes.
+CHUNK = 4_000_000
+#: Stands for scores of 0, whose logarithm could not be ranked.
+LEAST = 1e-30
+
+
+def power_bald(log_probs: Float[Tensor, "S N C"], count: int, generator: Generator) -> Int[Tensor, " k"]:
+    """Return a batch drawn without replacement with probabilities proportional to the scores of BALD.
+
+    The highest ``count`` of log BALD plus standard Gumbel noise are such a draw.
+    """
+    uniform = torch.rand(log_probs.shape[1], generator=generator, dtype=torch.float64)
+    gumbel = -(-uniform.clamp_min(LEAST).log()).log()
+    return select(score("bald", log_probs).cpu().clamp_min(LEAST).log() + gumbel, count, generator).positions
+
+
+def batch_bald(
+    log_probs: Float[Tensor, "S N C"], count: int, generator: Generator, *, outcomes: int = OUTCOMES
+) -> Int[Tensor, " k"]:
+    """Return the batch that greedy maximisation of the mutual information I(y₁ … y_k; ω) builds, best first.
+
+    The joint entropy of the labels sums over all joint outcomes of the points chosen so far while these are at most
+    ``outcomes``; beyond that it is estimated from as many sampled outcomes. Equal scores fall in random order.
+    """
+    log_p = log_probs.double()
+    conditional = -p_log_q(log_p, log_p).sum(-1).mean(0)
+    probs, classes = log_p.exp(), log_p.shape[-1]
+    joint, weights = probs.new_ones(len(probs), 1), probs.new_ones(1)
+    chosen: list[int] = []
+    for _ in range(min(count, log_p.shape[1])):
+        gains = _joint_entropies(joint, weights, probs) - conditional
+        left = torch.ones(len(gains), dtype=torch.bool)
+        left[chosen] = False
+        candidates = left.nonzero().flatten()
+        best = int(candidates[select(gains.cpu()[candidates], 1, generator).positions])
+        chosen.append(best)
+        if joint.shape[1] * classes <= outcomes:
+            joint = (joint[:, :, None] * probs[:, best, None, :]).flatten(1)
+            weights = probs.new_ones(joint.shape[1])
+        else:
+            joint, weights = _sampled(probs[:, chosen], outcomes, generator)
+    return torch.tensor(chosen)
+
+
+def _joint_entropies(
+    joint: Float[Tensor, "S M"], weights: Float[Tensor, " M"], probs: Float[Tensor, "S N C"]
+) -> Float[Tensor, " N"]:
+    """Return H[y₁ … y_k, y] in nats for each candidate y.
+
+    ``joint`` holds the probabilities of outcomes of y₁ … y_k under each draw, ``weights`` what each outcome counts.
+    """
+    draws, _, classes = probs.shape
+    parts = []
+    for part in probs.split(max(1, CHUNK // (joint.shape[1] * classes)), 1):
+        both = joint.T @ part.flatten(1) / draws
+        parts.append((weights @ torch.special.entr(both)).view(-1, classes).sum(1))
+    return torch.cat(parts)
+
+
+def _sampled(
+    probs: Float[Tensor, "S k C"], outcomes: int, generator: Generator
+) -> tuple[Float[Tensor, "S M"], Float[Tensor, " M"]]:
+    """Return joint probabilities [S, M] of outcomes sampled from the predictive distribution, and their weights."""
+    draws = len(probs)
+    per_draw = -(-outcomes // draws)
+    # Every draw gives as many outcomes; labels are independent given a draw.
+    labels = torch.multinomial(
+        probs.flatten(0, 1).cpu(), per_draw, replacement=True, generator=generator
+    ).view(draws, -1, per_draw).permute(1, 0, 2).flatten(1)  # fmt: skip
+    joint = probs.new_ones(draws, draws * per_draw)
+    for point, outcome in enumerate(labels.to(probs.device)):
+        joint = joint * probs[:, point, outcome]
+    return joint, 1 / (joint.shape[1] * joint.mean(0))
+
+
+#: Batch acquisition functions by name.
+BATCH_ACQUISITIONS: dict[str, Callable[[Tensor, int, Generator], Tensor]] = {
+    "batch-bald": batch_bald,
+    "power-bald": power_bald,
+}

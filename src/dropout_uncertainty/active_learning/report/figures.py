@@ -1,0 +1,92 @@
+"""Figures 5.1 and 5.2, the acquired digits and the digits that each function asks for: rows in, axes out."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dropout_uncertainty.active_learning.report.analysis import Row
+from dropout_uncertainty.page.plotting import COLOURS, SMALL, band
+
+__all__ = ["class_shares", "digits", "figure_5_1", "figure_5_2", "learning_curves"]
+
+
+def colour(name: str) -> str:
+    """Return the colour of a row: that of its acquisition function."""
+    return COLOURS[name.rpartition("/")[2]]
+
+
+def learning_curves(
+    ax: Axes, rows: Mapping[str, Row], names: Sequence[str], *, original: Mapping[str, Row] | None = None
+) -> Axes:
+    """Draw test error against acquired points for the named rows; dashed lines are Softmax rows.
+
+    With ``original``, the curves that the original program recorded stand behind as thin lines, one per repetition.
+    """
+    for name in names:
+        dash = "--" if name.startswith("softmax") else "-"
+        if original and name in original:
+            row = original[name]
+            ax.plot(row.labels - row.labels[0], row.error.T, dash, color=colour(name), linewidth=0.5, alpha=0.45)
+        if name in rows:
+            row = rows[name]
+            band(ax, row.labels - row.labels[0], row.error, colour=colour(name), label=row.label, linestyle=dash)
+    ax.set(xlabel="points acquired from the pool", ylabel="test error [%]", yscale="log")
+    ticks = [tick for tick in (1, 2, 3, 5, 10, 20, 40, 60, 80) if ax.get_ylim()[0] <= tick <= ax.get_ylim()[1]]
+    ax.set_yticks(ticks, [str(tick) for tick in ticks])
+    ax.set_yticks([], minor=True)
+    ax.legend()
+    return ax
+
+
+def figure_5_1(axes: Sequence[Axes], rows: Mapping[str, Row], original: Mapping[str, Row] | None = None) -> None:
+    """Draw Figure 5.1 on two axes: BALD and Variation Ratios, each with Dropout, Softmax and Random."""
+    for ax, (title, name) in zip(axes, (("BALD", "bald"), ("Variation Ratios", "variation-ratios")), strict=True):
+        learning_curves(ax, rows, ["random", f"softmax/{name}", f"dropout/{name}"], original=original)
+        ax.set_title(title)
+        ax.label_outer()
+
+
+def figure_5_2(ax: Axes, rows: Mapping[str, Row], original: Mapping[str, Row] | None = None) -> Axes:
+    """Draw Figure 5.2: the four acquisition functions with MC dropout."""
+    names = ["random", "dropout/bald", "dropout/variation-ratios", "dropout/max-entropy"]
+    return learning_curves(ax, rows, names, original=original)
+
+
+def digits(
+    figure: Figure, images: Float[np.ndarray, "N 28 28"], titles: Sequence[str], *, columns: int = 10
+) -> np.ndarray:
+    """Draw images in a grid, one title each, and return the axes."""
+    rows = -(-len(images) // columns)
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for ax in axes.flat:
+        ax.axis("off")
+    for ax, image, title in zip(axes.flat, images, titles, strict=False):
+        ax.imshow(image, cmap="gray_r", vmin=0, vmax=1)
+        ax.set_title(title, fontsize=SMALL)
+    return axes
+
+
+def class_shares(
+    ax: Axes, rows: Mapping[str, Row], labels: Int[np.ndarray, " M"], *, initial: int = 20
+) -> Float[np.ndarray, "rows 10"]:
+    """Draw the share of each digit among the acquired points of each row; return the shares [rows, 10] in %.
+
+    ``labels`` are those of the whole training set.
+    """
+    shares = np.stack(
+        [100 * np.bincount(labels[row.stack("points")[:, initial:]].ravel(), minlength=10) for row in rows.values()]
+    ).astype(float)
+    shares /= shares.sum(1, keepdims=True) / 100
+    picture = ax.imshow(shares, cmap="cividis", aspect="auto")
+    ax.set_xticks(range(10))
+    ax.set_yticks(range(len(rows)), [row.label for row in rows.values()])
+    ax.set(xlabel="digit")
+    ax.grid(visible=False)
+    ax.figure.colorbar(picture, ax=ax, label="share of acquired points [%]")
+    for (i, j), share in np.ndenumerate(shares):
+        light = share < shares.mean()
+        ax.text(j, i, f"{share:.0f}", ha="center", va="center", fontsize=SMALL, color="white" if light else "black")
+    return shares

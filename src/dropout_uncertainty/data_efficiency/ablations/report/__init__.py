@@ -1,0 +1,1 @@
+"""From the records of the ablations to numbers, statements and figures."""

@@ -1,0 +1,174 @@
+"""What matters in Deep PILCO: the learner `OURS` with one thing changed at a time (claims DE4 to DE7 and DE10).
+
+Every variant is one line of the table `VARIANTS`; all other choices, and all random numbers, are those of `OURS`, so
+that a variant and `OURS` pair up seed by seed. Beside them stand two measurements that change nothing: `mechanism`
+looks into the learner `OURS` while it learns, `scaling` takes times on synthetic transitions.
+"""
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from dropout_uncertainty.bayes import Masks
+from dropout_uncertainty.data_efficiency.ablations.probes import Mechanism, MechanismConfig
+from dropout_uncertainty.data_efficiency.ablations.scaling import Scaling, ScalingConfig
+from dropout_uncertainty.data_efficiency.deep_pilco import learner
+from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, SearchRun
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
+from dropout_uncertainty.runs import sweep
+from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
+
+__all__ = ["CONFIGS", "FAMILY", "TRIALS", "VARIANTS", "Variant", "VariantConfig", "VariantRun", "start", "units"]
+
+FAMILY = "what-matters"
+#: Controlled trials of every variant: by then `OURS` has solved the task long ago on development seeds.
+TRIALS = 20
+
+
+@dataclass(frozen=True)
+class VariantConfig(DeepPilcoConfig):
+    """The learner of `deep_pilco.learner` with one more choice."""
+
+    doubt: bool = True
+    """The controller is improved on draws of the weights. Otherwise on the mean network (weight scaling): a model that
+    was trained with dropout and is sure of itself."""
+
+
+#: `OURS` for fewer trials: what a variant differs from in its named fields alone.
+BASE = VariantConfig(**{f.name: getattr(OURS, f.name) for f in fields(OURS)} | {"trials": TRIALS})
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One change of `OURS`: the claim it serves, what it is in words, and the fields that change."""
+
+    claim: str
+    words: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def config(self) -> VariantConfig:
+        """The config of the learner."""
+        return replace(BASE, **self.changes)
+
+
+FIXED = {"redraw_every": 0}
+VARIANTS: dict[str, Variant] = {
+    "matching-diagonal": Variant("DE4", "moments of each dimension alone", {"matching": "diagonal"}),
+    "matching-off": Variant("DE4", "no moment matching", {"matching": "off"}),
+    "particles-fixed": Variant("DE5", "fixed particles, Adam", FIXED),
+    "particles-fixed-bfgs": Variant("DE5", "fixed particles, BFGS", FIXED | {"optimiser": "bfgs"}),
+    "masks-redrawn": Variant("DE6", "masks redrawn at each step", {"hold_masks": False}),
+    "masks-redrawn-matching-off": Variant("DE6", "… and no matching", {"hold_masks": False, "matching": "off"}),
+    "no-dropout": Variant("DE7", "no dropout", {"drop": 0.0}),
+    "mean-network": Variant("DE7", "trained with dropout, plans without", {"doubt": False}),
+    "dropout-half": Variant("DE10", "dropout probability: half", {"drop": OURS.drop / 2}),
+    "dropout-twice": Variant("DE10", "… twice", {"drop": 2 * OURS.drop}),
+    "length-scale-half": Variant("DE10", "length-scale: half", {"length_scale": OURS.length_scale / 2}),
+    "length-scale-twice": Variant("DE10", "… twice", {"length_scale": 2 * OURS.length_scale}),
+    "model-rate-half": Variant("DE10", "network's learning rate: half", {"model_rate": OURS.model_rate / 2}),
+    "model-rate-twice": Variant("DE10", "… twice", {"model_rate": 2 * OURS.model_rate}),
+    "policy-rate-half": Variant("DE10", "controller's learning rate: half", {"policy_rate": OURS.policy_rate / 2}),
+    "policy-rate-twice": Variant("DE10", "… twice", {"policy_rate": 2 * OURS.policy_rate}),
+    "particles-third": Variant("DE10", "a third of the particles", {"particles": OURS.particles // 3}),
+    "weights-fifth": Variant("DE10", "first weights of the controller: a fifth", {"weight_std": OURS.weight_std / 5}),
+    "no-guard": Variant("DE10", "no redraw of the controller", {"guard": 1.0}),
+    "cost-at-mean": Variant("DE10", "public ports: cost of the mean particle", {"cost_of": "mean"}),
+    "euler-plant": Variant("DE10", "public ports: Euler plant", {"integration": "euler"}),
+    "raw-inputs": Variant("DE10", "public ports: raw inputs", {"angle_features": False, "standardise": False}),
+}
+
+#: The measurements beside them.
+MECHANISM = MechanismConfig(**{f.name: getattr(OURS, f.name) for f in fields(OURS)} | {"trials": TRIALS})
+SCALING = ScalingConfig()
+CONFIGS: dict[str, VariantConfig | MechanismConfig | ScalingConfig] = {
+    **{f"{FAMILY}/{name}": variant.config for name, variant in VARIANTS.items()},
+    f"{FAMILY}/mechanism": MECHANISM,
+    f"{FAMILY}/scaling": SCALING,
+}
+
+
+class MeanDynamics(DropoutDynamics):
+    """The mean networks of trained ones, in the place of their draws."""
+
+    @classmethod
+    def of(cls, model: DropoutDynamics) -> "MeanDynamics":
+        """Return the view of a model; parameters and scaling are shared."""
+        view = object.__new__(cls)
+        view.__dict__.update(model.__dict__)
+        return view
+
+    def draw(self, count: int, *path: str | int) -> Masks:
+        """Return no masks: the deterministic pass."""
+        return (None,) * len(self.drop)
+
+
+class VariantRun(SearchRun):
+    """A variant's learner, with a small record."""
+
+    KEPT = ("costs", "predicted_cost")
+    config: VariantConfig
+
+    def _improve(self) -> None:
+        with self._planning():
+            super()._improve()
+
+    def _predict(self) -> None:
+        with self._planning():
+            super()._predict()
+
+    @contextlib.contextmanager
+    def _planning(self) -> Iterator[None]:
+        """Give the controller the model that it is improved on."""
+        trained = self.model
+        self.model = trained if self.config.doubt else MeanDynamics.of(trained)
+        yield
+        self.model = trained
+
+
+def start(
+    config: VariantConfig | MechanismConfig | ScalingConfig,
+    seeds: Sequence[int],
+    device: str = "cpu",
+    precision: str = "float32",
+) -> VariantRun | Mechanism | Scaling:
+    """Return the process of one unit.
+
+    Raises:
+        ValueError: without seeds, for bfloat16, or if times are to be taken elsewhere than on the CPU.
+    """
+    if precision == "bfloat16":
+        raise ValueError("Deep PILCO runs in float32 or float64, got bfloat16")
+    dtype = precision_dtype(precision)
+    if isinstance(config, ScalingConfig):
+        return Scaling(config, seeds, device, dtype)
+    if isinstance(config, MechanismConfig):
+        return Mechanism(config, seeds, device, dtype)
+    return VariantRun(config, seeds, device, dtype)
+
+
+def memory(config: VariantConfig | MechanismConfig | ScalingConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes; sizes are timed one repetition after the other."""
+    if isinstance(config, ScalingConfig):
+        return 8.0 * 4 * max(config.pilco_sizes[0]) ** 2
+    return learner.memory(config)
+
+
+#: Times are those of a CPU.
+SWEEPS = [
+    Sweep(EXPERIMENT, configs, start, ("float32", "float64"), group, repetitions=10, memory=memory)
+    for configs, group in (
+        ({name: config for name, config in CONFIGS.items() if config is not SCALING}, GROUP),
+        ({f"{FAMILY}/scaling": SCALING}, {"cpu": GROUP["cpu"]}),
+    )
+]
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units(SWEEPS, name, seeds, device, precision)

@@ -1,0 +1,1 @@
+"""Deep PILCO: a dropout network as the model, particles to plan with it (Algorithm 4)."""

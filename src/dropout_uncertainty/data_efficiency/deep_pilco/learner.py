@@ -1,0 +1,361 @@
+"""Deep PILCO learning the cart-pole swing-up: a unit is a batch of repetitions, a step of its process is a trial."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dropout_uncertainty import rng
+from dropout_uncertainty.data_efficiency import policies
+from dropout_uncertainty.data_efficiency.deep_pilco import particles, planning
+from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
+from dropout_uncertainty.data_efficiency.deep_pilco.planning import Planning
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
+from dropout_uncertainty.data_efficiency.plant import cartpole
+from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole, Rollout
+from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
+from dropout_uncertainty.runs import sweep
+from dropout_uncertainty.runs.execute import Unit, precision_dtype
+from dropout_uncertainty.runs.sweep import Sweep
+
+__all__ = ["AS_WRITTEN", "CONFIGS", "OURS", "SEARCH", "DeepPilcoConfig", "DeepPilcoLearning", "start", "units"]
+
+#: Trials whose controllers are kept, for the animations and figure 5.8.
+SHOWN = (1, 2, 3, 5, 10, 20, 26, 40)
+#: True trials of each shown controller from fresh start states, beside the one it learns from (figure 5.8, green).
+REPEATS = 5
+#: Particles of the recorded prediction: more than are planned with, since it is drawn and not optimised.
+PREDICTED = 100
+
+
+@dataclass(frozen=True)
+class DeepPilcoConfig(Planning):
+    """The learner; the choices of planning are inherited. Defaults are `OURS`.
+
+    "Paper" is the Deep PILCO workshop paper (Gal, McAllister and Rasmussen, 2016) at second hand: what two
+    re-implementations written from it agree on or attribute to it (zuoxingdong/DeepPILCO, BrunoKM/deep-pilco-torch).
+    """
+
+    plant: CartPole = field(default_factory=lambda: PAPER)
+    """The cart-pole, its start distribution and trial length: the paper's."""
+    integration: str = "runge-kutta"
+    """How the real plant moves: accurately ("runge-kutta"), or in one "euler" step per control interval, as the plants
+    of two public re-implementations do."""
+    trials: int = 40
+    """Controlled trials after the random one (thesis section 5.4.3: run times of 40 trials)."""
+    hidden: tuple[int, ...] = (200, 200)
+    """Widths of the network's hidden layers (paper)."""
+    activation: str = "relu"
+    """Of the hidden layers: "relu", or "sigmoid" (paper)."""
+    drop: float = 0.05
+    """Drop probability of the hidden units (paper: 0.05 to 0.1)."""
+    input_drop: float = 0.0
+    """Drop probability of the network's inputs; the re-implementations differ."""
+    angle_features: bool = True
+    """The network is given sin θ and cos θ instead of θ; not in thesis or paper."""
+    standardise: bool = True
+    """Inputs and targets of the network are scaled to mean 0 and standard deviation 1; not in thesis or paper."""
+    length_scale: float = 0.1**0.5
+    """Length-scale l of the prior over the weights: with N and the drop probability it gives the weight decay (thesis
+    equation 3.14). Thesis and paper give no value."""
+    model_steps: int = 600
+    """Adam steps per trial for the network; the paper has 5000."""
+    model_rate: float = 2e-3
+    """Their size at first; thesis and paper give none."""
+    model_final_rate: float = 0.1
+    """Their size at the end as a share of the first; it falls along a cosine."""
+    batch: int = 100
+    """Transitions per step (paper), or all while there are fewer."""
+    memory: int = 0
+    """The network learns from that many last trials (paper: 10); 0, as in the thesis: from all."""
+    basis: int = 50
+    """Basis functions of the controller (paper)."""
+    spread: tuple[float, ...] = (1.0, 2.0, 4.0, 0.7, 0.7)
+    """Standard deviations of the first centres in x, v, w, sin θ, cos θ, and first length-scales; our choice."""
+    weight_std: float = 0.5
+    """Standard deviation of the first weights of the basis functions; our choice. The pole must be thrown about early,
+    or the data teach nothing."""
+    guard: float = 0.98
+    """A controller whose predicted cost per step stays above this is drawn anew; 1, as in thesis and paper: never."""
+    redraws: int = 2
+    """How often at most, per trial."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.integration not in ("runge-kutta", "euler"):
+            raise ValueError(f"expected the integration runge-kutta or euler, got {self.integration!r}")
+        if min(self.trials, self.basis, self.model_steps, self.batch) < 1 or min(self.memory, self.redraws) < 0:
+            raise ValueError(f"trials, basis functions, steps and batch must be positive, got {asdict(self)}")
+        if len(self.spread) != planning.DIM or min(self.spread) <= 0:
+            raise ValueError(f"expected {planning.DIM} positive spreads, one per feature, got {self.spread}")
+
+
+#: Robust choices: the best of the search on development seeds (`SEARCH`), frozen before the published seeds were run.
+OURS = DeepPilcoConfig()
+#: What thesis and paper say, where they say something. Adam's step size is its usual 1e-3, since neither gives one.
+AS_WRITTEN = replace(
+    OURS,
+    activation="sigmoid",
+    particles=10,
+    matching="diagonal",
+    standard_noise=False,
+    policy_steps=1000,
+    policy_rate=1e-3,
+    clip=0.0,
+    model_steps=5000,
+    model_rate=1e-3,
+    model_final_rate=1.0,
+    memory=10,
+    guard=1.0,
+)
+#: What was tried to find `OURS`, on development seeds.
+TRIED = replace(OURS, trials=25)
+SEARCH: dict[str, DeepPilcoConfig] = {
+    "search/start": TRIED,
+    "search/rate-decay": replace(TRIED, policy_final_rate=0.1),
+}
+CONFIGS: dict[str, DeepPilcoConfig] = {"deep-pilco-ours": OURS, "deep-pilco-as-written": AS_WRITTEN, **SEARCH}
+
+
+class DeepPilcoLearning:
+    """R repetitions of Deep PILCO (thesis algorithms 3 and 4) in one batch; step 0 is the random trial."""
+
+    #: 2: the gradients of controller and network are worked out by hand.
+    ROUNDING = 2
+    COUNTS = (
+        "model_repairs",  # gradients that were not finite and left out, networks that had to begin anew
+        "policy_repairs",  # gradients that were not finite and left out
+        "policy_redrawn",  # times the guard tried another controller
+    )
+
+    def __init__(self, config: DeepPilcoConfig, seeds: Sequence[int], device: str, dtype: torch.dtype) -> None:
+        if not seeds:
+            raise ValueError("at least one seed is needed, got none")
+        self.config, self.seeds = config, tuple(seeds)
+        self.total, self.done = config.trials + 1, 0
+        self.shape = planning.RBFShape(config.basis)
+        self.model = DropoutDynamics(
+            self.seeds, hidden=config.hidden, drop=config.drop, input_drop=config.input_drop,
+            activation=config.activation, angle_features=config.angle_features, standardise=config.standardise,
+            dtype=dtype, device=device,
+        )  # fmt: skip
+        self.policy = self._draw_policy(0)
+        self.shown = tuple(trial for trial in SHOWN if trial <= config.trials)
+        times, steps, trials, shown = config.plant.steps + 1, config.plant.steps, self.total, len(self.shown)
+        sizes = {
+            "states": (trials, times, 4),  # true
+            "observed": (trials, times, 4),
+            "forces": (trials, steps),  # [N]
+            "costs": (trials, steps),  # realised, of the true states 1 ... T
+            "predicted_mean": (trials, times, 4),  # of the particles, before they are resampled
+            "predicted_std": (trials, times, 4),
+            "predicted_cost": (trials, steps),
+            "model_loss": (trials,),  # [nats per transition]
+            "noise_std": (trials, 4),  # learned
+            "policy": (shown, self.shape.size),
+            "repeats": (shown, REPEATS, times, 4),  # true states of further trials of the same controller
+        }
+        self.log = {k: torch.full((len(self.seeds), *s), torch.nan, dtype=torch.float64) for k, s in sizes.items()}
+        self.counts = {name: torch.zeros(len(self.seeds), trials, dtype=torch.int64) for name in self.COUNTS}
+        self.seconds = {name: [0.0] * trials for name in ("model", "policy", "trial")}  # CPU, all repetitions
+
+    def advance(self) -> str:
+        """Train, improve the controller and run one trial; the first trial has random forces."""
+        begun = time.process_time()
+        if self.done:
+            self._train()
+            trained = time.process_time()
+            self._improve()
+            self._predict()
+            self.seconds["model"][self.done] = trained - begun
+            begun, self.seconds["policy"][self.done] = time.process_time(), time.process_time() - trained
+        self._run_trial()
+        self._show()
+        self.seconds["trial"][self.done] = time.process_time() - begun
+        costs = self.log["costs"][:, self.done]
+        self.done += 1
+        count = int(solved(self.config.plant, costs).sum())
+        return f"cost {costs.mean():.3f}, solved {count}/{len(self.seeds)}"
+
+    def _train(self) -> None:
+        """Algorithm 3, line 5: fit the network to the transitions of the trials that are remembered."""
+        config, trial = self.config, self.done
+        first = max(0, trial - config.memory) if config.memory else 0
+        observed, forces = self.log["observed"][:, first:trial], self.log["forces"][:, first:trial]
+        inputs = self.model.inputs(observed[:, :, :-1], forces).flatten(1, 2)
+        targets = (observed[:, :, 1:] - observed[:, :, :-1]).flatten(1, 2)
+        loss, repairs = self.model.fit(
+            inputs, targets, trial, steps=config.model_steps, rate=config.model_rate,
+            final_rate=config.model_final_rate, batch=config.batch, length_scale=config.length_scale,
+        )  # fmt: skip
+        self.log["model_loss"][:, trial] = loss
+        self.log["noise_std"][:, trial] = self.model.noise_std()
+        self.counts["model_repairs"][:, trial] = repairs
+
+    def _improve(self) -> None:
+        """Algorithm 3, lines 6 to 8: lower the predicted cost from the last controller on."""
+        config, trial = self.config, self.done
+        attempts = config.redraws if config.guard < 1 else 0
+        fresh = [self._draw_policy(trial, attempt) for attempt in range(1, attempts + 1)]
+        best, redraws = planning.guarded(
+            self.model, config.plant, self.shape, config, self.policy, fresh, config.guard, trial
+        )
+        self.policy = best.parameters
+        self.counts["policy_repairs"][:, trial] = best.repairs
+        self.counts["policy_redrawn"][:, trial] = redraws
+
+    def _predict(self) -> None:
+        """Record what the model expects of the controller that is about to be tried."""
+        config, trial = self.config, self.done
+        draws = next(planning.draw(self.model, config.plant, config, PREDICTED, "record", trial))
+        with torch.no_grad():
+            controller = self.shape.controller(self.policy)
+            prediction = particles.predict(controller, config.plant, draws, config.matching)
+        self.log["predicted_mean"][:, trial, 0] = draws.start.mean(1)
+        self.log["predicted_std"][:, trial, 0] = draws.start.std(1)
+        self.log["predicted_mean"][:, trial, 1:] = prediction.mean
+        self.log["predicted_std"][:, trial, 1:] = prediction.variance.sqrt()
+        self.log["predicted_cost"][:, trial] = prediction.costs(config.plant)
+
+    def _run_trial(self) -> None:
+        """Algorithm 3, line 4: run the trial and keep it."""
+        plant, trial = self.config.plant, self.done
+        begin = self._draw(lambda g: cartpole.start_states(plant, (), g), "start", trial)
+        noise = self._draw(lambda g: cartpole.observation_noise(plant, (plant.steps + 1,), g), "noise", trial)
+        if trial == 0:
+            random = self._draw(lambda g: torch.rand(plant.steps, generator=g, dtype=torch.float64), "forces", trial)
+            forces = plant.force_limit * (2 * random - 1)
+            done = self._execute(begin, lambda _, t: forces[:, t], noise)
+        else:
+            done = self._execute(begin, self._act, noise)
+        self.log["costs"][:, trial] = cost(plant, done.states[:, 1:])
+        for name in ("states", "observed", "forces"):
+            self.log[name][:, trial] = getattr(done, name)
+
+    def _show(self) -> None:
+        """Keep the controller of some trials, and run it again from other start states; nothing is learned from it."""
+        plant, trial = self.config.plant, self.done
+        if trial not in self.shown:
+            return
+        place = self.shown.index(trial)
+        begin = self._draw(lambda g: cartpole.start_states(plant, (REPEATS,), g), "repeated start", trial)
+        shape = (REPEATS, plant.steps + 1)
+        noise = self._draw(lambda g: cartpole.observation_noise(plant, shape, g), "repeated noise", trial)
+        self.log["policy"][:, place] = self.policy
+        self.log["repeats"][:, place] = self._execute(begin, self._act, noise).states
+
+    def _act(self, observed: Tensor, _: int) -> Tensor:
+        controller = self.shape.controller(self.policy.double().cpu())
+        return policies.force(controller, self.config.plant, observed)
+
+    def _execute(self, begin: Tensor, act: Callable[[Tensor, int], Tensor], noise: Tensor) -> Rollout:
+        plant = self.config.plant
+        if self.config.integration == "runge-kutta":
+            return cartpole.rollout(plant, begin, act, noise)
+        states, forces = [begin], []
+        for t in range(plant.steps):
+            forces.append(act(states[-1] + noise[..., t, :], t))
+            states.append(states[-1] + plant.dt * cartpole.derivative(plant, states[-1], forces[-1]))
+        visited = torch.stack(states, -2)
+        return Rollout(visited, visited + noise, torch.stack(forces, -1))
+
+    def _draw(self, draw: Any, *path: str | int) -> Tensor:
+        return rng.stacked(draw, self.seeds, "environment", *path)
+
+    def _draw_policy(self, *path: int) -> Tensor:
+        spread, weight_std = self.config.spread, self.config.weight_std
+        drawn = rng.stacked(lambda g: self.shape.initial(spread, weight_std, g), self.seeds, "policy", *path)
+        return drawn.to(self.model.log_noise)
+
+    def state(self) -> dict[str, Any]:
+        """Return everything needed to continue."""
+        kept = ("done", "policy", "log", "counts", "seconds")
+        return {"model": self.model.state(), **{name: getattr(self, name) for name in kept}}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from `state()` of a process made with the same arguments."""
+        self.model.restore(state["model"])
+        for name, value in state.items():
+            if name != "model":
+                setattr(self, name, value)
+        self.policy = self.policy.to(self.model.log_noise)
+
+    def result(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN.
+
+        Observed states are left out: they follow from the seed. What is only drawn is kept in half precision.
+        """
+        half = {"predicted_mean", "predicted_std", "predicted_cost", "repeats"}
+        arrays = {
+            name: value.numpy().astype(np.float16 if name in half else np.float32)
+            for name, value in self.log.items()
+            if name != "observed"
+        }
+        shown = np.array(self.shown, dtype=np.int32)
+        return arrays | {k: v.numpy().astype(np.int32) for k, v in self.counts.items()} | {"shown": shown}
+
+    def timings(self) -> dict[str, list[float]]:
+        """Return CPU seconds per trial of all repetitions together, by part."""
+        return {f"{name}_cpu_s": values for name, values in self.seconds.items()}
+
+
+class SearchRun(DeepPilcoLearning):
+    """The same, with a small record: only how each trial went."""
+
+    KEPT: tuple[str, ...] = ("costs", "predicted_cost", "model_loss")
+
+    def result(self) -> dict[str, np.ndarray]:
+        """Return predicted and realised costs [R, trial, T] in half precision, and how often something was mended."""
+        arrays = super().result()
+        counts = {name: arrays[name].astype(np.int16) for name in self.COUNTS}
+        return {name: arrays[name].astype(np.float16) for name in self.KEPT} | counts
+
+
+def start(
+    config: DeepPilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32"
+) -> DeepPilcoLearning:
+    """Return the process of one unit.
+
+    Raises:
+        ValueError: without seeds, or for bfloat16, which has no Cholesky factor.
+    """
+    return DeepPilcoLearning(config, seeds, device, _dtype(precision))
+
+
+def start_search(
+    config: DeepPilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32"
+) -> SearchRun:
+    """Return the process of one unit of the search; raises ValueError as `start` does."""
+    return SearchRun(config, seeds, device, _dtype(precision))
+
+
+def _dtype(precision: str) -> torch.dtype:
+    if precision == "bfloat16":
+        raise ValueError("Deep PILCO runs in float32 or float64, got bfloat16")
+    return precision_dtype(precision)
+
+
+def memory(config: DeepPilcoConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes: a predicted trial of the particles and its gradient."""
+    wide = sum(config.hidden) + config.basis
+    return 8.0 * config.plant.steps * max(config.particles, PREDICTED) * wide * 8
+
+
+SWEEPS = [
+    Sweep(EXPERIMENT, configs, begin, ("float32", "float64"), GROUP, repetitions=40, memory=memory)
+    for configs, begin in (
+        ({name: config for name, config in CONFIGS.items() if name not in SEARCH}, start),
+        (SEARCH, start_search),
+    )
+]
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units(SWEEPS, name, seeds, device, precision)

@@ -1,0 +1,1 @@
+"""Minimising many functions at once."""

@@ -1,0 +1,243 @@
+"""Gaussian-process regression with a squared-exponential kernel: one length-scale per input, learned noise.
+
+Hyper-parameters are one vector per output, in logs: D length-scales, signal standard deviation, noise
+standard deviation. With inducing inputs, shared by the outputs, the posterior is the FITC approximation
+(Snelson and Ghahramani, 2006). Replicas R first; float64. The settings are those of pilco-matlab (gp/train.m,
+gp/hypCurb.m, gp/gp1.m).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.cluster.vq import kmeans2
+from torch import Tensor
+
+from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import (
+    SquaredExponential,
+    nan_cholesky,
+    squared_exponential,
+)
+from dropout_uncertainty.data_efficiency.minimise.batched import Minimum, minimise
+
+MAX_SIGNAL_TO_NOISE = 1000.0
+MAX_LENGTH_SCALE = 100.0  # in standard deviations of the input
+PENALTY_POWER = 30
+RIDGE = 1e-6  # added to the covariance of the inducing points, as in the original
+# Multiples of the mean variance tried in turn on the diagonal of a covariance that cannot be factorised.
+JITTERS = (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4)
+
+
+@dataclass(frozen=True)
+class GaussianProcess:
+    """E independent processes over the same D inputs, with their data."""
+
+    inputs: Tensor  # [R, N, D]
+    targets: Tensor  # [R, E, N]
+    log_hyper: Tensor  # [R, E, D + 2]
+    inducing: Tensor | None = None  # [R, M, D]
+
+    def __post_init__(self) -> None:
+        replicas, count, dim = self.inputs.shape
+        if count == 0:
+            raise ValueError("expected at least one transition to condition the Gaussian process on, got none")
+        if self.targets.shape[::2] != (replicas, count) or self.log_hyper.shape != (*self.targets.shape[:2], dim + 2):
+            raise ValueError(
+                "expected inputs [R, N, D], targets [R, E, N] and log hyper-parameters [R, E, D + 2], got shapes "
+                f"{tuple(self.inputs.shape)}, {tuple(self.targets.shape)} and {tuple(self.log_hyper.shape)}"
+            )
+
+    @property
+    def noise_std(self) -> Float[Tensor, "R E"]:
+        """Learned noise standard deviations, in units of the targets."""
+        return self.log_hyper[..., -1].exp()
+
+    def posterior(self) -> tuple[SquaredExponential, Int[Tensor, " R"]]:
+        """Return the posterior over the functions, and how many covariances of each replica needed jitter."""
+        if self.inducing is not None:
+            return self._inducing_posterior(self.inducing)
+        factor, repaired = robust_cholesky(_gram(self.inputs, self.log_hyper))
+        weights = torch.cholesky_solve(self.targets[..., None], factor)[..., 0]
+        return self._functions(self.inputs, weights, torch.cholesky_inverse(factor)), repaired.sum(-1)
+
+    def _inducing_posterior(self, inducing: Tensor) -> tuple[SquaredExponential, Tensor]:
+        noise = torch.exp(2 * self.log_hyper[..., -1])[..., None]
+        own, cross, residual = _inducing_covariances(self.inputs, inducing, self.log_hyper)
+        factor, repaired = robust_cholesky(own)
+        whitened = torch.linalg.solve_triangular(factor, cross, upper=False)
+        diagonal = noise + (residual - (whitened**2).sum(-2))  # of the conditional covariance of the targets
+        scaled = whitened / diagonal[..., None, :]
+        identity = torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
+        inner, also = robust_cholesky(identity + scaled @ whitened.mT)
+        root = torch.linalg.solve_triangular(factor @ inner, identity, upper=False)
+        weights = (root.mT @ (torch.linalg.solve_triangular(inner, scaled, upper=False) @ self.targets[..., None]))[
+            ..., 0
+        ]
+        precision = torch.cholesky_inverse(factor) - root.mT @ root
+        return self._functions(inducing, weights, precision), (repaired | also).sum(-1)
+
+    def _functions(self, centres: Tensor, weights: Tensor, precision: Tensor) -> SquaredExponential:
+        return SquaredExponential(centres, self.log_hyper[..., :-2], self.log_hyper[..., -2], weights, precision)
+
+
+def initial_hyper(inputs: Float[Tensor, "R N D"], targets: Float[Tensor, "R E N"]) -> Float[Tensor, "R E H"]:
+    """Return the start of a fit: length-scales and signal as spread as the data, noise a tenth of the signal."""
+    scales = inputs.std(1).log()[:, None].expand(-1, targets.shape[1], -1)
+    signal = targets.std(-1).log()
+    return torch.cat((scales, signal[..., None], signal[..., None] - math.log(10)), -1)
+
+
+def negative_log_likelihood(
+    log_hyper: Float[Tensor, "B H"], inputs: Float[Tensor, "B N D"], targets: Float[Tensor, "B N"]
+) -> tuple[Float[Tensor, " B"], Float[Tensor, "B H"]]:
+    """Return the negative log marginal likelihood [nat] of B single-output processes and its gradient.
+
+    NaN where the covariance cannot be factorised. No array of D x N x N numbers is made: the sum over n, m of
+    ``W_nm (x_n - x_m)^2`` is ``2 sum_n r_n x_n^2 - 2 x' W x`` with r the row sums of the symmetric W.
+    """
+    gram = _gram(inputs, log_hyper[:, None])[:, 0]
+    noise = torch.exp(2 * log_hyper[:, -1])
+    factor = nan_cholesky(gram)
+    weights = torch.cholesky_solve(targets[..., None], factor)[..., 0]
+    half_log_det = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    value = (targets * weights).sum(-1) / 2 + half_log_det + targets.shape[-1] / 2 * math.log(2 * math.pi)
+    slack = torch.cholesky_inverse(factor).addcmul_(weights[:, :, None], weights[:, None], value=-1)
+    trace = slack.diagonal(dim1=-2, dim2=-1).sum(-1)
+    gram.diagonal(dim1=-2, dim2=-1).sub_(noise[:, None])
+    slack.mul_(gram)
+    scaled = inputs * torch.exp(-log_hyper[:, None, :-2])
+    rows = slack.sum(-1)
+    scale_gradient = (rows[..., None] * scaled**2).sum(1) - (scaled * (slack @ scaled)).sum(1)
+    return value, torch.cat((scale_gradient, rows.sum(-1)[:, None], (noise * trace)[:, None]), -1)
+
+
+def penalty(
+    log_hyper: Float[Tensor, "B H"],
+    input_std: Float[Tensor, "B D"],
+    max_ratio: float = MAX_SIGNAL_TO_NOISE,
+    max_scale: float = MAX_LENGTH_SCALE,
+) -> tuple[Float[Tensor, " B"], Float[Tensor, "B H"]]:
+    """Return the penalty that keeps length-scales and signal-to-noise ratios sane, and its gradient.
+
+    A 30th power: next to nothing inside the limits, a wall at them.
+    """
+    scales = (log_hyper[:, :-2] - input_std.log()) / math.log(max_scale)
+    ratio = (log_hyper[:, -2] - log_hyper[:, -1]) / math.log(max_ratio)
+    steep = PENALTY_POWER * scales ** (PENALTY_POWER - 1) / math.log(max_scale)
+    ratio_slope = PENALTY_POWER * ratio ** (PENALTY_POWER - 1) / math.log(max_ratio)
+    value = (scales**PENALTY_POWER).sum(-1) + ratio**PENALTY_POWER
+    return value, torch.cat((steep, ratio_slope[:, None], -ratio_slope[:, None]), -1)
+
+
+def fit_hyper(
+    inputs: Float[Tensor, "R N D"],
+    targets: Float[Tensor, "R E N"],
+    start: Float[Tensor, "R E H"],
+    iterations: int,
+) -> tuple[Float[Tensor, "R E H"], Minimum]:
+    """Return the hyper-parameters of smallest penalised negative log likelihood found from ``start``."""
+    outputs = targets.shape[1]
+    input_std = inputs.std(1)
+
+    def objective(x: Tensor, numbers: list[int]) -> tuple[Tensor, Tensor]:
+        x, index = x.to(inputs), torch.tensor(numbers, device=inputs.device)
+        replica, output = index // outputs, index % outputs
+        value, gradient = negative_log_likelihood(x, inputs[replica], targets[replica, output])
+        extra, slope = penalty(x, input_std[replica])
+        return value + extra, gradient + slope
+
+    found = minimise(objective, start.flatten(0, 1), iterations)
+    return found.x.reshape(start.shape), found
+
+
+def inducing_negative_log_likelihood(
+    inducing: Float[Tensor, "R M D"], model: GaussianProcess
+) -> tuple[Float[Tensor, " R"], Float[Tensor, "R M D"]]:
+    """Return the FITC negative log likelihood [nat], summed over outputs, and its gradient in the inducing inputs."""
+    inducing = inducing.detach().requires_grad_()
+    noise = torch.exp(2 * model.log_hyper[..., -1])[..., None]
+    with torch.enable_grad():
+        own, cross, residual = _inducing_covariances(model.inputs, inducing, model.log_hyper)
+        factor = nan_cholesky(own)
+        whitened = torch.linalg.solve_triangular(factor, cross, upper=False)
+        diagonal = noise + (residual - (whitened**2).sum(-2))
+        scaled = whitened / diagonal[..., None, :]
+        identity = torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
+        inner = nan_cholesky(identity + scaled @ whitened.mT)
+        projected = torch.linalg.solve_triangular(inner, scaled @ model.targets[..., None], upper=False)[..., 0]
+        fit = (model.targets**2 / diagonal).sum(-1) - (projected**2).sum(-1)
+        log_det = diagonal.log().sum(-1) + 2 * inner.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        value = ((fit + log_det + model.inputs.shape[1] * math.log(2 * math.pi)) / 2).sum(-1)
+        (gradient,) = torch.autograd.grad(value.sum(), inducing)
+    return value.detach(), gradient
+
+
+def initial_inducing(inputs: Float[Tensor, "R N D"], count: int, seeds: list[int]) -> Float[Tensor, "R M D"]:
+    """Return k-means centres of each replica's inputs, scaled to unit spread, as first inducing inputs."""
+    centres = []
+    for x, seed in zip(inputs.cpu().numpy(), seeds, strict=True):
+        scale = x.std(0) + np.finfo(x.dtype).tiny
+        found, _ = kmeans2(x / scale, count, minit="++", rng=np.random.default_rng(seed))
+        centres.append(found * scale)
+    return torch.from_numpy(np.stack(centres)).to(inputs)
+
+
+def fit_inducing(
+    model: GaussianProcess, start: Float[Tensor, "R M D"], iterations: int
+) -> tuple[Float[Tensor, "R M D"], Minimum]:
+    """Return the inducing inputs of smallest FITC negative log likelihood found from ``start``."""
+
+    def objective(x: Tensor, numbers: list[int]) -> tuple[Tensor, Tensor]:
+        part = GaussianProcess(model.inputs[numbers], model.targets[numbers], model.log_hyper[numbers])
+        value, gradient = inducing_negative_log_likelihood(x.to(model.inputs).reshape(-1, *start.shape[1:]), part)
+        return value, gradient.flatten(1)
+
+    found = minimise(objective, start.flatten(1), iterations)
+    return found.x.reshape(start.shape), found
+
+
+def robust_cholesky(matrix: Float[Tensor, "*batch N N"]) -> tuple[Float[Tensor, "*batch N N"], Tensor]:
+    """Return Cholesky factors, and which of the matrices needed jitter on their diagonal.
+
+    Raises:
+        ValueError: if a matrix is not positive definite even with the largest jitter.
+    """
+    scale = matrix.diagonal(dim1=-2, dim2=-1).mean(-1)
+    factor, bad = _try_cholesky(matrix)
+    repaired = bad
+    for jitter in JITTERS[1:]:
+        if not bad.any():
+            return factor, repaired
+        bumped = matrix + torch.diag_embed((jitter * scale)[..., None].expand(matrix.shape[:-1]))
+        again, still = _try_cholesky(bumped)
+        factor = torch.where((bad & ~still)[..., None, None], again, factor)
+        bad = bad & still
+    if bad.any():
+        raise ValueError("expected positive definite covariances; one is not, even with jitter (NaN in the data?)")
+    return factor, repaired
+
+
+def _try_cholesky(matrix: Tensor) -> tuple[Tensor, Tensor]:
+    """Return Cholesky factors, and which matrices have none; on a GPU, NaN is to be seen in the factor only."""
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    return factor, (info > 0) | factor.diagonal(dim1=-2, dim2=-1).isnan().any(-1)
+
+
+def _gram(inputs: Tensor, log_hyper: Tensor) -> Tensor:
+    """Return the covariance of the targets [R, E, N, N]."""
+    gram = squared_exponential(inputs, inputs, log_hyper[..., :-2], log_hyper[..., -2])
+    variance = torch.exp(2 * log_hyper[..., -2:]).sum(-1)[
+        ..., None
+    ]  # set, not added: distances of 0 may come out as 1e-16
+    gram.diagonal(dim1=-2, dim2=-1).copy_(variance.expand(gram.shape[:-1]))
+    return gram
+
+
+def _inducing_covariances(inputs: Tensor, inducing: Tensor, log_hyper: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return covariances of the inducing points, with the inputs, and the inputs' variance [R, E, 1]."""
+    scales, signal = log_hyper[..., :-2], log_hyper[..., -2]
+    own = squared_exponential(inducing, inducing, scales, signal)
+    own = own + RIDGE * torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
+    return own, squared_exponential(inducing, inputs, scales, signal), torch.exp(2 * signal)[..., None]

@@ -1,0 +1,346 @@
+"""PILCO learning the cart-pole swing-up: one unit is a batch of repetitions, one step of its process is a trial."""
+
+import contextlib
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Generator, Tensor
+
+from dropout_uncertainty import rng
+from dropout_uncertainty.data_efficiency import policies
+from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import SquaredExponential
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
+from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
+from dropout_uncertainty.data_efficiency.pilco import planning
+from dropout_uncertainty.data_efficiency.plant import cartpole
+from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, CartPole
+from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
+from dropout_uncertainty.runs import records, sweep
+from dropout_uncertainty.runs.execute import Unit
+from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.runs.sweep import Sweep
+
+__all__ = [
+    "CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer",
+    "units",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PilcoConfig:
+    """The learner, after pilco-matlab, scenarios/cartPole/settings_cp.m, unless said otherwise."""
+
+    plant: CartPole = field(default_factory=lambda: MATLAB)
+    """The cart-pole, its start distribution and trial length."""
+    trials: int = 10
+    """Controlled trials after the random one; 15 in the original."""
+    basis: int = 10
+    """Basis functions of the controller."""
+    policy_iterations: int = 150
+    """Line searches per trial for the controller."""
+    model_iterations: int = 300
+    """Line searches per trial for the hyper-parameters of each output's Gaussian process."""
+    inducing: int = 300
+    """Inducing inputs, used once there are more transitions than this; 0: never."""
+    inducing_iterations: int = 100
+    """Line searches per trial for the inducing inputs, thrice as many at first; the original has 500 evaluations."""
+    target_std: float = 0.1
+    """Standard deviation of the first targets of the controller's basis functions."""
+    log_length_scales: tuple[float, ...] = (0.0, 0.0, 0.0, -0.35667494393873245, -0.35667494393873245)
+    """Logs of the controller's first length-scales: 1, 1, 1, 0.7, 0.7."""
+
+    def __post_init__(self) -> None:
+        if self.trials < 1 or self.basis < 1 or self.policy_iterations < 1 or self.model_iterations < 1:
+            raise ValueError(f"trials, basis functions and line searches must be positive, got {asdict(self)}")
+
+
+#: The plant of the original code.
+PILCO_MATLAB = PilcoConfig(plant=MATLAB)
+#: The plant of the Deep PILCO paper, on which both methods of figure 5.7 are compared.
+PILCO_PAPER = replace(PILCO_MATLAB, plant=PAPER)
+#: Longer runs of the same learner, which go on from the records of shorter ones: more of the curve of figure 5.7, and
+#: (one repetition) the 40 trials whose hours the thesis gives.
+LONGER: dict[str, PilcoConfig] = {f"pilco-paper-{trials}": replace(PILCO_PAPER, trials=trials) for trials in (15, 40)}
+CONFIGS: dict[str, PilcoConfig] = {"pilco-paper": PILCO_PAPER, "pilco-matlab": PILCO_MATLAB, **LONGER}
+
+
+class PilcoLearning:
+    """R repetitions of PILCO (thesis algorithm 3) in one batch; step 0 is the random trial."""
+
+    #: 2: the moments of the controller and the features are worked out in fewer operations.
+    ROUNDING = 2
+    #: Kept in full precision: with these a longer config continues from the record as if it had never stopped.
+    CONTINUED = ("observed", "forces", "hyper", "policy")
+    #: What computing time is spent on; "gradients" are for the record only.
+    PARTS = ("model", "gradients", "policy", "trial")
+    COUNTS = (
+        "model_line_searches",  # summed over outputs
+        "policy_line_searches",
+        "policy_evaluations",
+        "model_repairs",  # values that were not finite, failed line searches, covariances that needed jitter
+        "policy_repairs",  # values that were not finite, failed line searches
+        "policy_redrawn",  # the controller could not be evaluated and began anew from a random one
+    )
+
+    def __init__(self, config: PilcoConfig, seeds: Sequence[int], device: str = "cpu") -> None:
+        if not seeds:
+            raise ValueError("at least one seed is needed, got none")
+        self.config, self.seeds, self.device = config, tuple(seeds), device
+        self.total, self.done = config.trials + 1, 0
+        self.shape = planning.PolicyShape(config.basis)
+        self.policy = self._draw_policy(0)
+        plant, runs = config.plant, len(self.seeds)
+        self.inputs = torch.zeros(runs, 0, planning.DIM + 1, dtype=torch.float64)
+        self.targets = torch.zeros(runs, 4, 0, dtype=torch.float64)
+        self.hyper: Tensor | None = None
+        self.inducing: Tensor | None = None
+        times, steps = plant.steps + 1, plant.steps
+        sizes = {
+            "states": (times, 4),  # true
+            "observed": (times, 4),
+            "forces": (steps,),  # [N]
+            "costs": (steps,),  # realised, of the true states 1 ... T
+            "predicted_mean": (times, 4),
+            "predicted_variance": (times, 4),
+            "predicted_cost": (steps,),
+            # where the search for the controller begins, norms of the gradient of each step's expected cost; with
+            # doubt about the model, and taking its mean for the truth; and what is predicted there
+            "search_gradient": (steps,),
+            "search_gradient_sure": (steps,),
+            "search_variance": (times, 4),
+            "hyper": (4, planning.DIM + 3),  # logs: length-scales, signal and noise standard deviation per output
+            "policy": (self.shape.size,),
+        }
+        self.log = {
+            k: torch.full((runs, self.total, *size), torch.nan, dtype=torch.float64) for k, size in sizes.items()
+        }
+        self.counts = {name: torch.zeros(runs, self.total, dtype=torch.int64) for name in self.COUNTS}
+        self.seconds = {name: [0.0] * self.total for name in self.PARTS}  # CPU, all repetitions
+
+    def advance(self) -> str:
+        """Train, improve the controller and run one trial; the first trial has random forces."""
+        if self.done:
+            with self._timed("model"):
+                model = self._train()
+            with self._timed("gradients"):
+                self._record_gradients(model)
+            with self._timed("policy"):
+                self._improve(model)
+                self._predict(model)
+        with self._timed("trial"):
+            self._run_trial()
+        costs = self.log["costs"][:, self.done]
+        self.done += 1
+        count = int(solved(self.config.plant, costs).sum())
+        return f"cost {costs.mean().item():.3f}, solved {count}/{len(self.seeds)}"
+
+    @contextlib.contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        started = time.process_time()
+        yield
+        self.seconds[part][self.done] = time.process_time() - started
+
+    def _train(self) -> SquaredExponential:
+        """Step 5: fit hyper-parameters, then inducing inputs if there are many data; return the posterior."""
+        config, outputs = self.config, self.targets.shape[1]
+        inputs, targets = self.inputs.to(self.device), self.targets.to(self.device)
+        self.hyper, found = planning.train_model(inputs, targets, self.hyper, config.model_iterations)
+        self.log["hyper"][:, self.done] = self.hyper
+        per_run = found.iterations.reshape(-1, outputs).sum(1)
+        self.counts["model_line_searches"][:, self.done] = per_run
+        repairs = (found.repairs + found.failures).reshape(-1, outputs).sum(1)
+        model = gp.GaussianProcess(inputs, targets, self.hyper.to(self.device))
+        if 0 < config.inducing < inputs.shape[1]:
+            iterations = config.inducing_iterations
+            if self.inducing is None:
+                iterations *= 3
+                self.inducing = gp.initial_inducing(self.inputs, config.inducing, list(self.seeds))
+            self.inducing, found = gp.fit_inducing(model, self.inducing, iterations)
+            repairs = repairs + found.repairs + found.failures
+            model = replace(model, inducing=self.inducing.to(self.device))
+        posterior, jittered = model.posterior()
+        self.counts["model_repairs"][:, self.done] = repairs + jittered.cpu()
+        return posterior
+
+    def _record_gradients(self, model: SquaredExponential) -> None:
+        """Note how much each step of the predicted trial has to say when the search for the controller begins."""
+        doubting, sure, states = planning.step_gradients(model, self.config.plant, self.shape, self.policy)
+        self.log["search_gradient"][:, self.done] = doubting.norm(dim=-1)
+        self.log["search_gradient_sure"][:, self.done] = sure.norm(dim=-1)
+        self.log["search_variance"][:, self.done] = states.cov.diagonal(dim1=-2, dim2=-1)
+
+    def _improve(self, model: SquaredExponential) -> None:
+        """Steps 6 to 8; a controller that cannot be evaluated is redrawn once, then kept as it was."""
+        config, trial = self.config, self.done
+        found = planning.improve(model, config.plant, self.shape, self.policy, config.policy_iterations)
+        best, lost = found.x, found.value.isnan()
+        if lost.any():
+            numbers = lost.nonzero()[:, 0].tolist()
+            fresh = self._draw_policy(trial)[lost]
+            again = planning.improve(model.select(numbers), config.plant, self.shape, fresh, config.policy_iterations)
+            best[lost] = torch.where(again.value.isnan()[:, None], self.policy[lost], again.x)
+        self.policy = best
+        self.log["policy"][:, trial] = best
+        self.counts["policy_line_searches"][:, trial] = found.iterations
+        self.counts["policy_evaluations"][:, trial] = found.evaluations
+        self.counts["policy_repairs"][:, trial] = found.repairs + found.failures
+        self.counts["policy_redrawn"][:, trial] = lost.long()
+
+    def _predict(self, model: SquaredExponential) -> None:
+        plant = self.config.plant
+        begin = planning.start_distribution(plant, len(self.seeds), self.device)
+        states = planning.predict(model, self.shape.controller(self.policy.to(self.device)), plant, begin)
+        self.log["predicted_mean"][:, self.done] = states.mean
+        self.log["predicted_variance"][:, self.done] = states.cov.diagonal(dim1=-2, dim2=-1)
+        self.log["predicted_cost"][:, self.done] = planning.expected_costs(plant, states)
+
+    def _run_trial(self) -> None:
+        """Step 4: run the trial and append its transitions to the data."""
+        plant, trial = self.config.plant, self.done
+        begin = self._draw(lambda g: cartpole.start_states(plant, (), g), "start")
+        noise = self._draw(lambda g: cartpole.observation_noise(plant, (plant.steps + 1,), g), "noise")
+        if trial == 0:
+            random = self._draw(lambda g: torch.rand(plant.steps, generator=g, dtype=torch.float64), "forces")
+            forces = plant.force_limit * (2 * random - 1)
+            rollout = cartpole.rollout(plant, begin, lambda _, t: forces[:, t], noise)
+        else:
+            controller = self.shape.controller(self.policy)
+            act = lambda observed, _: policies.force(controller, plant, observed)  # noqa: E731
+            rollout = cartpole.rollout(plant, begin, act, noise)
+        self._append(rollout.observed, rollout.forces)
+        self.log["costs"][:, trial] = cost(plant, rollout.states[:, 1:])
+        for name in ("states", "observed", "forces"):
+            self.log[name][:, trial] = getattr(rollout, name)
+
+    def _append(self, observed: Tensor, forces: Tensor) -> None:
+        inputs, targets = planning.transitions(observed, forces)
+        self.inputs, self.targets = torch.cat((self.inputs, inputs), 1), torch.cat((self.targets, targets), 2)
+
+    def _draw(self, draw: Any, name: str) -> Tensor:
+        return rng.stacked(draw, self.seeds, "environment", name, self.done)
+
+    def _draw_policy(self, trial: int) -> Tensor:
+        config = self.config
+
+        def draw(generator: Generator) -> Tensor:
+            return self.shape.initial(config.plant, config.target_std, config.log_length_scales, generator)
+
+        return rng.stacked(draw, self.seeds, "policy", trial)
+
+    def state(self) -> dict[str, Any]:
+        """Return everything needed to continue."""
+        kept = ("done", "policy", "inputs", "targets", "hyper", "inducing", "log", "counts", "seconds")
+        return {name: getattr(self, name) for name in kept}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from ``state()`` of a process made with the same arguments."""
+        for name, value in state.items():
+            setattr(self, name, value)
+
+    def result(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN."""
+        log = {
+            name: value.numpy() if name in self.CONTINUED else value.numpy().astype(np.float32)
+            for name, value in self.log.items()
+        }
+        inducing = {} if self.inducing is None else {"inducing": self.inducing.numpy()}
+        return log | inducing | {name: value.numpy().astype(np.int32) for name, value in self.counts.items()}
+
+    def take_over(self, arrays: Mapping[str, np.ndarray], seconds: Mapping[str, Sequence[float]]) -> None:
+        """Stand where a shorter run of the same learner ended, given the arrays of its record and its timings."""
+        self.done = done = arrays["costs"].shape[1]
+        for kept in (self.log, self.counts):
+            for name, values in kept.items():
+                values[:, :done] = torch.from_numpy(arrays[name])
+        for part, spent in self.seconds.items():
+            spent[:done] = seconds[part]
+        self.policy, self.hyper = self.log["policy"][:, done - 1].clone(), self.log["hyper"][:, done - 1].clone()
+        self.inducing = torch.from_numpy(arrays["inducing"]) if "inducing" in arrays else None
+        for trial in range(done):
+            self._append(self.log["observed"][:, trial], self.log["forces"][:, trial])
+
+    def timings(self) -> dict[str, list[float]]:
+        """Return CPU seconds per trial of all repetitions together, by part."""
+        return {f"{name}_cpu_s": values for name, values in self.seconds.items()}
+
+
+def start(config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float64") -> PilcoLearning:
+    """Return the process of one unit.
+
+    Raises:
+        ValueError: for another precision than float64.
+    """
+    return PilcoLearning(config, seeds, _device(device, precision))
+
+
+def _device(device: str, precision: str) -> str:
+    if precision != "float64":
+        raise ValueError(f"PILCO runs in float64, got {precision}; leave it out")
+    return device
+
+
+class ContinuedPilco(PilcoLearning):
+    """The same, going on from records of shorter runs."""
+
+    def inherit(self, folder: Path) -> list[dict[str, Any]]:
+        """Stand where records of the same learner with fewer trials end, and return them as parents.
+
+        Without records of all its seeds from the same device type it stays at the beginning; the result is the same,
+        but for rounding where they were made by an older version (`PilcoLearning.ROUNDING`).
+        """
+        names = [name for name in CONFIGS if _is_shorter(CONFIGS[name], self.config)]
+        device = torch.device(self.device).type
+        for name in sorted(names, key=lambda name: -CONFIGS[name].trials):
+            found = records.find(EXPERIMENT, CONFIGS[name], name=name, folder=folder, device=device)
+            place = {seed: (record, row) for record in found for row, seed in enumerate(record.seeds)}
+            if all(seed in place for seed in self.seeds):
+                rows = [place[seed] for seed in self.seeds]
+                arrays = {key: np.stack([r.arrays[key][row] for r, row in rows]) for key in rows[0][0].arrays}
+                self.take_over(arrays, {part: _seconds(part, [record for record, _ in rows]) for part in self.PARTS})
+                return [records.parent(record, self.seeds) for record in found if set(record.seeds) & set(self.seeds)]
+        return []
+
+
+def start_longer(
+    config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float64"
+) -> ContinuedPilco:
+    """Return the process of one unit that can go on from shorter ones; raises ValueError as `start` does."""
+    return ContinuedPilco(config, seeds, _device(device, precision))
+
+
+def _is_shorter(config: PilcoConfig, longer: PilcoConfig) -> bool:
+    return config.trials < longer.trials and replace(config, trials=longer.trials) == longer
+
+
+def _seconds(part: str, found: Sequence[Record]) -> list[float]:
+    """Return the CPU seconds of some repetitions: of each the share that it has in its unit."""
+    shares = [np.array(record.header["provenance"][f"{part}_cpu_s"]) / len(record.seeds) for record in found]
+    return np.sum(shares, 0).tolist()
+
+
+def memory(config: PilcoConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes: matrices between all data, of all pairs of outputs."""
+    data = config.trials * config.plant.steps
+    data = min(data, config.inducing) if config.inducing else data
+    return 8.0 * 10 * data**2 * 8
+
+
+SWEEPS = [
+    Sweep(EXPERIMENT, configs, begin, ("float64",), GROUP, repetitions=40, memory=memory)
+    for configs, begin in (
+        ({name: config for name, config in CONFIGS.items() if name not in LONGER}, start),
+        (LONGER, start_longer),
+    )
+]
+
+
+def units(
+    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
+) -> list[Unit]:
+    """Return the units of a named config, as `sweep.units` does."""
+    return sweep.units(SWEEPS, name, seeds, device, precision)

@@ -1,0 +1,1 @@
+"""The cart-pole: its dynamics, its cost, and both as a Gymnasium environment."""

@@ -1,0 +1,75 @@
+"""The saturating cost of the pole's tip for a point or a Gaussian state, and what "solved" means.
+
+``cost = 1 - exp(-d^2 / (2 width^2))``, where d [m] is the distance of the tip from its place when the pole stands
+upright over the middle of the track (the black cross of thesis figure 5.6). It is 0 there and 1 far away. The
+cost is flat far from the goal; only the spread of an uncertain state gives it a slope there, which is why its
+expectation is what PILCO minimises.
+"""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, feature_moments, identity
+from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import spd_inverse
+from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole, tip
+
+# A trial is solved when the mean cost of its last second (`matlab`) or half second (`paper`) is below this.
+SOLVED_BELOW = 0.2
+
+
+def cost(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
+    """Return the cost in [0, 1] of each state."""
+    x, y = tip(plant, state).unbind(-1)
+    squared_distance = x**2 + (y - plant.pole_length) ** 2
+    return 1 - torch.exp(-squared_distance / (2 * plant.cost_width**2))
+
+
+def cost_moments(plant: CartPole, state: Gaussian) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+    """Return mean and variance of the cost of a Gaussian state, its features matched by a Gaussian."""
+    length = plant.pole_length
+    # rows: horizontal and vertical distance of the tip from its goal, in widths, as functions of the features
+    factor = state.mean.new_tensor([[1.0, 0, 0, -length, 0], [0, 0, 0, 0, length]]) / plant.cost_width
+    target = state.mean.new_tensor([0.0, 0, 0, 0, 1])
+    mean, variance, _ = saturating_moments(feature_moments(state).out, target, factor)
+    return mean, variance
+
+
+def saturating_moments(
+    z: Gaussian, target: Tensor, factor: Tensor
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch D"]]:
+    """Return mean, variance and slope in z of ``1 - exp(-|factor (z - target)|^2 / 2)`` for a Gaussian z.
+
+    Args:
+        z: the Gaussian of D dimensions.
+        target: [D], where the value is 0.
+        factor: [P, D], what is measured of the distance.
+
+    Raises:
+        ValueError: if mean, target and factor disagree about the length of z.
+    """
+    if not z.mean.shape[-1] == target.shape[-1] == factor.shape[-1]:
+        lengths = z.mean.shape[-1], target.shape[-1], factor.shape[-1]
+        raise ValueError(f"expected mean, target and factor for a z of one length, got lengths {lengths}")
+    offset, spread = (z.mean - target) @ factor.mT, factor @ z.cov @ factor.mT
+    first, gain = _expected_exponential(offset, spread)
+    second, _ = _expected_exponential(2**0.5 * offset, 2 * spread)
+    return 1 - first, second - first**2, first[..., None] * (gain @ factor)
+
+
+def _expected_exponential(offset: Tensor, cov: Tensor) -> tuple[Tensor, Tensor]:
+    """Return E exp(-|y|^2 / 2) for y ~ N(offset, cov), and (I + cov)^-1 offset."""
+    inverse, log_det = spd_inverse(identity(offset.shape[-1], cov.dtype, cov.device) + cov)
+    gain = (inverse @ offset[..., None])[..., 0]
+    return torch.exp(((offset * gain).sum(-1) + log_det) / -2), gain
+
+
+def solved(plant: CartPole, costs: Float[Tensor, "*batch steps"]) -> Bool[Tensor, "*batch"]:
+    """Return whether a trial with these realised costs of steps 1 ... T ended with the pole balanced.
+
+    Raises:
+        ValueError: if there is not one cost per step of the plant.
+    """
+    if costs.shape[-1] != plant.steps:
+        raise ValueError(f"expected {plant.steps} costs, one per step of the trial, got {costs.shape[-1]}")
+    return costs[..., -plant.solved_steps :].mean(-1) < SOLVED_BELOW

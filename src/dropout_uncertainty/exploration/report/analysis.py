@@ -1,0 +1,314 @@
+"""From records to the numbers of Figure 5.4 and of claims EX1-EX6. Nothing is run and nothing is drawn here."""
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from dropout_uncertainty.exploration.experiment import BLOCK, CONFIGS, EXPERIMENT, Config
+from dropout_uncertainty.judging.results import Result, measured, thesis_value
+from dropout_uncertainty.runs import records
+from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.stats import Interval, bootstrap_interval, first_crossing, paired_difference, t_interval
+
+__all__ = [
+    "BLOCKS", "BURN_IN", "EARLY", "LABELS", "LATE", "TARGET", "Agents", "Curves", "advantage", "batches", "block_table",
+    "check_quick", "compare", "crossing_table", "difference_table", "from_arrays", "from_records", "held_out_gap",
+    "held_out_table", "load", "median", "original", "paired", "results",
+]  # fmt: skip
+
+#: How each agent is called in figures and tables.
+LABELS: dict[str, str] = {
+    "thompson": "Thompson sampling",
+    "epsilon-greedy": "ε-greedy",
+    "boltzmann": "Boltzmann",
+    "annealed-thompson": "Annealed Thompson",
+    "greedy": "No exploration",
+}
+#: Average reward that the text to Figure 5.4 counts batches to.
+TARGET = 1.0
+#: Ticks of random moves at the start, of all configs.
+BURN_IN = CONFIGS["as-demo"].burn_in
+#: Ranges of ticks, open below, over which curves are averaged to compare them with those of the original program.
+BLOCKS = ((3_000, 15_500), (15_500, 50_000), (50_000, 90_500), (90_500, 200_000))
+#: Ranges of ticks over which policies are compared (claim EX5).
+EARLY, LATE = (BURN_IN, 50_000), BLOCKS[-1]
+
+
+@dataclass(frozen=True)
+class Curves:
+    """What one agent did in R runs.
+
+    Attributes:
+        agent: its policy, e.g. "thompson".
+        config: name of the config, or "original".
+        average: [R, T] mean reward of the last 1000 ticks, at every 500th tick: the curve of Figure 5.4.
+        seeds: one per run.
+        arrays: [R, T] per block of 500 ticks, as in ``experiment.Foraging``: reward, food, poison, blocked, ...
+        records: where they come from; none for the original program's curves.
+    """
+
+    agent: str
+    config: str
+    average: Float[np.ndarray, "R T"]
+    seeds: tuple[int, ...]
+    arrays: Mapping[str, np.ndarray]
+    records: tuple[Record, ...] = ()
+
+    @property
+    def record(self) -> Record | None:
+        """The first of the records."""
+        return self.records[0] if self.records else None
+
+    @property
+    def label(self) -> str:
+        """Name of the agent in words."""
+        return LABELS[self.agent]
+
+    @property
+    def ticks(self) -> Int[np.ndarray, " T"]:
+        """Tick at which each point of the curve is taken."""
+        return BLOCK * np.arange(1, self.average.shape[1] + 1)
+
+    def crossings(self, target: float = TARGET) -> Float[np.ndarray, " R"]:
+        """Return the tick of the first point after the burn-in at which each run reaches ``target``; inf if none."""
+        later = self.ticks > BURN_IN
+        first = [first_crossing(curve[later], target, above=True) for curve in self.average]
+        return BURN_IN + BLOCK * (np.array(first) + 1)
+
+    def mean(self, start: int, stop: int, name: str | None = None) -> Float[np.ndarray, " R"]:
+        """Return each run's mean over the points with start < tick <= stop: of the curve, or of an array by name.
+
+        Runs that end before ``stop`` count as far as they go, and are NaN if they end before ``start``.
+        """
+        values = self.average if name is None else self.arrays[name]
+        wanted = values[:, (self.ticks > start) & (self.ticks <= stop)].astype(float)
+        counted = ~np.isnan(wanted)
+        total = np.where(counted, wanted, 0.0).sum(1)
+        return np.divide(total, counted.sum(1), out=np.full(len(values), np.nan), where=counted.any(1))
+
+    def share(self, name: str, start: int, stop: int) -> Float[np.ndarray, " R"]:
+        """Return the share of ticks in which something counted happened ("blocked", "explored", "food", "poison")."""
+        return self.mean(start, stop, name) / BLOCK
+
+    def later(self, name: str) -> Float[np.ndarray, " R"]:
+        """Return each run's mean of an array over the second half of its points."""
+        values = self.arrays[name]
+        return values[:, values.shape[1] // 2 :].astype(float).mean(1)
+
+    def only(self, seeds: Sequence[int]) -> "Curves":
+        """Return the runs of some seeds, in their order."""
+        rows = [self.seeds.index(seed) for seed in seeds]
+        arrays = {name: values[rows] for name, values in self.arrays.items() if name != "weights"}
+        return replace(self, average=self.average[rows], seeds=tuple(seeds), arrays=arrays)
+
+
+#: The agents of one config, by policy.
+Agents = dict[str, Curves]
+
+
+def load(name: str, folder: Path | None = None, *, published: bool = True) -> Agents:
+    """Return the recorded agents of a config, or of all configs of a family ("ours"); empty without records.
+
+    Published seeds lie below 100; with ``published=False`` those of development, 100 and above, are read instead.
+
+    Raises:
+        RecordError: if a record cannot be trusted.
+    """
+    names = [name] if name in CONFIGS else [config for config in CONFIGS if config.startswith(f"{name}-")]
+    agents: Agents = {}
+    for config in names:
+        found = [r for r in records.find(EXPERIMENT, name=config, folder=folder) if (max(r.seeds) < 100) == published]
+        if found:
+            agents |= from_records(config, found)
+    return agents
+
+
+def from_records(name: str, found: Sequence[Record]) -> Agents:
+    """Return the agents whose runs some records of one config hold, all seeds together, but for final weights."""
+    names = [key for key in found[0].arrays if key != "weights"]
+    arrays = {key: np.concatenate([record.arrays[key] for record in found]) for key in names}
+    return from_arrays(name, CONFIGS[name], arrays, [seed for record in found for seed in record.seeds], found)
+
+
+def from_arrays(
+    name: str, config: Config, arrays: Mapping[str, np.ndarray], seeds: Sequence[int], found: Sequence[Record] = ()
+) -> Agents:
+    """Return the agents of a run, from the arrays that ``experiment.Foraging.result`` gives."""
+    agents = {}
+    for index, agent in enumerate(config.agents):
+        mine = {key: values[:, index] for key, values in arrays.items()}
+        average = mine["average_reward"].astype(float)
+        agents[agent.policy] = Curves(agent.policy, name, average, tuple(seeds), mine, tuple(found))
+    return agents
+
+
+@functools.cache
+def original(variant: str = "as-demo") -> Agents:
+    """Return the curves of the original program (``records/original``), runs of unequal length padded with NaN.
+
+    ``variant``: "as-demo", six runs of the demo as published; or "as-written", five runs of its Thompson agent with the
+    text's dropout.
+    """
+    name = {"as-demo": "rl2d_original_js_curves", "as-written": "rl2d_original_js_curves_dropout01_all"}[variant]
+    lines = records.table(f"original/{name}")
+    length = max(int(line["batch"]) for line in lines)
+    agents = {}
+    for agent, theirs in (("thompson", "thompson"), ("epsilon-greedy", "greedy")):
+        mine = [line for line in lines if line["agent"] == theirs]
+        seeds = sorted({int(line["seed"]) for line in mine})
+        if seeds:
+            average = np.full((len(seeds), length), np.nan)
+            for line in mine:
+                average[seeds.index(int(line["seed"])), int(line["batch"]) - 1] = float(line["average_reward"])
+            agents[agent] = Curves(agent, "original", average, tuple(seeds), {})
+    return agents
+
+
+def batches(ticks: np.ndarray, unit: int = BLOCK) -> np.ndarray:
+    """Return ticks as batches of ``unit`` ticks from the end of the burn-in, as the thesis counts."""
+    return (np.asarray(ticks, float) - BURN_IN) / unit
+
+
+def median(values: np.ndarray) -> Interval:
+    """Return the median over runs with its bootstrap interval; runs that never arrive count as inf."""
+    return bootstrap_interval(lambda i: float(np.quantile(values[i], 0.5, method="inverted_cdf")), len(values))
+
+
+def paired(*curves: Curves) -> tuple[Curves, ...]:
+    """Return the runs of the seeds that all of some curves have, in one order."""
+    seeds = [seed for seed in curves[0].seeds if all(seed in other.seeds for other in curves)]
+    return tuple(one.only(seeds) for one in curves)
+
+
+def advantage(agents: Agents, first: str, second: str) -> Interval:
+    """Return how many times as many batches from the burn-in to ``TARGET`` the second agent needs, at the median.
+
+    Of the seeds that both have; agents of one seed stay together.
+    """
+    slow, fast = (batches(curves.crossings()) for curves in paired(agents[second], agents[first]))
+
+    def ratio(indices: np.ndarray) -> float:
+        late, early = (np.quantile(values[indices], 0.5, method="inverted_cdf") for values in (slow, fast))
+        return 1.0 if late == early else float(late / early)  # also where neither arrives
+
+    return bootstrap_interval(ratio, len(slow))
+
+
+def compare(first: Curves, second: Curves, start: int, stop: int) -> Interval:
+    """Return the difference first - second of the mean reward over a range of ticks, paired over seeds."""
+    return paired_difference(*(curves.mean(start, stop) for curves in paired(first, second)))
+
+
+def held_out_gap(curves: Curves) -> Float[np.ndarray, " R"]:
+    """Return the squared TD error of held-out transitions minus that of learned ones, over the second half."""
+    return curves.later("held_out_td_error") - curves.later("learned_td_error")
+
+
+def check_quick(agents: Agents) -> None:
+    """Check a short run of the demo, 10,000 ticks or more, against wide bands that were set before its first run.
+
+    Raises:
+        ValueError: naming the band that they leave.
+    """
+    end = int(agents["thompson"].ticks[-1])
+    for curves in agents.values():
+        reward = float(curves.mean(BURN_IN, end).mean())
+        if not 0.3 <= reward <= 1.2:
+            raise ValueError(f"{curves.label}: mean reward {reward:.2f} after the burn-in is outside 0.3 to 1.2")
+    early = compare(agents["thompson"], agents["epsilon-greedy"], BURN_IN, end).value
+    if not 0.03 <= early <= 0.45:
+        raise ValueError(f"Thompson sampling is ahead of ε-greedy by {early:.3f}, outside 0.03 to 0.45")
+
+
+def results(folder: Path | None = None) -> list[Result]:
+    """Return the numbers of Figure 5.4; the agents of the four separate worlds carry the plain ids."""
+    found = []
+    for name in ("ours", "as-demo", "as-written"):
+        for curves in load(name, folder).values():
+            found += _results(curves, "" if name == "ours" else f"/{name}")
+    return found
+
+
+def _results(curves: Curves, suffix: str) -> list[Result]:
+    """Return the statistics of one agent; only the plain crossing of a separate world is judged."""
+    identifier, found = f"figure-5.4/{curves.agent}", curves.records
+    crossing = "median over runs of the first point of the curve at or above 1, from the end of the burn-in"
+    ticks = curves.crossings()
+    statistics = [
+        ("/first-crossing", median(batches(ticks)), f"batches of {BLOCK} ticks", crossing),
+        ("/first-crossing/unit-200", median(batches(ticks, 200)), "batches of 200 ticks", crossing),
+    ]
+    for start, stop in BLOCKS:
+        block = t_interval(curves.mean(start, stop))
+        statistics.append((f"/block-{start}-{stop}", block, "reward", f"mean of the curve over ticks {start}-{stop}"))
+    return [
+        measured(
+            identifier + kind + suffix, interval, found, unit=unit, statistic=statistic, config=curves.config,
+            thesis=f"{identifier}/first-crossing" if "first" in kind else None,
+            judge=kind == "/first-crossing" and not suffix,
+        )
+        for kind, interval, unit, statistic in statistics
+    ]  # fmt: skip
+
+
+def _cell(interval: Interval, digits: int) -> str:
+    value, low, high, n = interval
+    if not np.isfinite(value):
+        return "not reached"
+    limits = [f"{limit:.{digits}f}" if np.isfinite(limit) else "not reached" for limit in (low, high)]
+    return f"{value:.{digits}f}" + (f" [{limits[0]}, {limits[1]}]" if n > 1 else "")
+
+
+def crossing_table(groups: Mapping[str, Agents], target: float = TARGET) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: when the median run of each agent reaches ``target``, in ticks and in both units.
+
+    Ticks count from the start, batches from the end of the burn-in.
+    """
+    heads = ["", "worlds", "thesis, batches", "batches of 500", "batches of 200", "ticks", "runs that get there"]
+    cells: list[list[object]] = []
+    for group, agents in groups.items():
+        for curves in agents.values():
+            ticks, printed = curves.crossings(target), thesis_value(f"figure-5.4/{curves.agent}/first-crossing")
+            numbers = [_cell(median(batches(ticks, unit)), 0) for unit in (500, 200)]
+            reached = f"{np.isfinite(ticks).sum()} of {len(ticks)}"
+            cells.append(
+                [curves.label, group, printed and f"{printed:.0f}", *numbers, _cell(median(ticks), 0), reached]
+            )
+    return heads, cells
+
+
+def block_table(
+    groups: Mapping[str, Agents], blocks: Sequence[tuple[int, int]] = BLOCKS
+) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: mean reward over ranges of ticks; a run that ends within one counts as far as it goes."""
+    heads = ["", "worlds", *(f"{start / 1000:g}k–{stop / 1000:g}k" for start, stop in blocks)]
+    cells: list[list[object]] = []
+    for group, agents in groups.items():
+        for curves in agents.values():
+            means = [curves.mean(*block) for block in blocks]
+            shown = [_cell(t_interval(m[~np.isnan(m)]), 3) if not np.isnan(m).all() else None for m in means]
+            cells.append([curves.label, group, *shown])
+    return heads, cells
+
+
+def difference_table(agents: Agents, reference: str) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: mean reward of each agent minus that of a reference, early and late, paired by seed."""
+    last = int(agents[reference].ticks[-1])
+    ranges = [ticks for ticks in (EARLY, LATE) if ticks[0] < last]
+    heads = ["", *(f"ticks {start:,} to {min(stop, last):,}" for start, stop in ranges)]
+    others = [curves for name, curves in agents.items() if name != reference]
+    return heads, [[c.label, *(_cell(compare(c, agents[reference], *ticks), 3) for ticks in ranges)] for c in others]
+
+
+def held_out_table(networks: Mapping[str, Curves]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: squared TD errors and reward of networks by name, over the second half of their runs."""
+    heads = ["", "learned", "held out", "held out - learned", "reward"]
+    cells: list[list[object]] = []
+    for name, curves in networks.items():
+        parts = [curves.later("learned_td_error"), curves.later("held_out_td_error"), held_out_gap(curves)]
+        cells.append([name, *(_cell(t_interval(part), 3) for part in [*parts, curves.later("reward")])])
+    return heads, cells

@@ -1,0 +1,1 @@
+"""Judging: what the thesis says beside what we measured, and the verdicts."""

@@ -1,0 +1,1 @@
+"""The pages: tables, pictures, running the notebooks and building the book."""

@@ -1,0 +1,284 @@
+"""Make the book: run the notebooks, lay the pages out and build the HTML.
+
+Everything made here lies under ``_build/``: ``notebooks/`` (executed), ``source/`` (the prose of ``book/`` and the
+executed notebooks side by side) and ``html/``. What an interrupted run leaves behind is removed by the next one.
+"""
+
+import ast
+import contextlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from dropout_uncertainty import folders
+from dropout_uncertainty.errors import UserError
+from dropout_uncertainty.page import profiles
+from dropout_uncertainty.runs import records
+
+__all__ = ["BookError", "build", "notebooks", "run_notebooks", "times"]
+
+# all relative to the repository: papermill and Sphinx write the paths they are given into the published pages
+NOTEBOOKS, PROSE, CONFIG = Path("notebooks"), Path("book"), Path("_config.yml")
+BUILD = Path("_build")
+EXECUTED, RUNNING, SOURCE, HTML = BUILD / "notebooks", BUILD / "running", BUILD / "source", BUILD / "html"
+# beside the source as beside the notebooks, so that the same links lead to them from both
+RECORDS, COPIED = Path("records"), BUILD / "records"
+LOG = BUILD / "jupyter-book.log"
+TIMES = BUILD / "times.json"
+#: The notebook that shows what the others took, and runs after them.
+LAST = "scoreboard"
+
+
+class BookError(UserError):
+    """The book could not be made; the message says which notebook or page and why."""
+
+
+def notebooks() -> list[str]:
+    """Return the names of the notebooks of the repository, without suffix, in the order in which they run."""
+    names = [path.stem for path in (_repository() / NOTEBOOKS).glob("*.ipynb")]
+    return sorted(names, key=lambda name: (name == LAST, name))
+
+
+def times() -> dict[str, dict[str, dict[str, Any]]]:
+    """Return what the last run of each notebook in each profile took here, by profile and name.
+
+    Each has ``seconds``, ``cpu_seconds``, ``megabytes`` (the most that the notebook and its workers held at once),
+    ``processor``, ``cores`` and ``date``.
+    """
+    with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
+        return json.loads((_repository() / TIMES).read_text(encoding="utf-8"))
+    return {}
+
+
+def run_notebooks(profile: str = "recorded", names: Sequence[str] | None = None) -> dict[str, float]:
+    """Run notebooks from top to bottom in the given profile and return the seconds each took.
+
+    Args:
+        profile: one of ``profiles.PROFILES``.
+        names: notebooks to run, without suffix; all of them by default.
+
+    Raises:
+        UserError: if the profile or a name is unknown, or the folder of the records is not there.
+        BookError: if a cell fails, naming notebook and cell; the notebook up to there is kept in ``_build/running``.
+    """
+    profiles.check(profile)
+    with _only_one():
+        return _run_notebooks(profile, names)
+
+
+def build(profile: str = "recorded", *, run: bool = True) -> Path:
+    """Run all notebooks (unless ``run`` is false), build the HTML and return the path of its first page.
+
+    Raises:
+        UserError: if the profile is unknown, or the folder of the records is not there.
+        BookError: if a notebook fails, was not run before, or jupyter-book reports an error or a warning.
+    """
+    profiles.check(profile)
+    begin = time.monotonic()
+    with _only_one():
+        if run:
+            _run_notebooks(profile, None)
+        _assemble()
+        _build_html()
+        page = HTML.resolve() / "index.html"
+    print(f"The book is ready after {_duration(time.monotonic() - begin)}; open {page}")
+    return page
+
+
+def _run_notebooks(profile: str, names: Sequence[str] | None) -> dict[str, float]:
+    known = notebooks()
+    if unknown := [name for name in names or () if name not in known]:
+        raise UserError(f"there is no notebook {unknown[0]!r}, choose from {', '.join(known)}")
+    if profile == "full":  # the one that computes records
+        folders.create(records.root())
+    folders.existing(records.root(), folders.RECORDS, "records")
+    if names is None:
+        shutil.rmtree(EXECUTED, ignore_errors=True)
+    shutil.rmtree(RUNNING, ignore_errors=True)
+    for folder in (EXECUTED, RUNNING):
+        folder.mkdir(parents=True, exist_ok=True)
+    return {name: _execute(name, profile) for name in (known if names is None else names)}
+
+
+def _execute(name: str, profile: str) -> float:
+    """Run one notebook and return the seconds it took; an earlier result stays only if this one is complete."""
+    papermill, failures = _papermill()
+    source, running = NOTEBOOKS / f"{name}.ipynb", RUNNING / f"{name}.ipynb"
+    (EXECUTED / running.name).unlink(missing_ok=True)
+    # every parameter is injected, so that the page can show the injected cell alone
+    known = papermill.inspect_notebook(str(source))
+    parameters = {key: ast.literal_eval(value["default"]) for key, value in known.items()} | {"profile": profile}
+    begin, worked = time.monotonic(), _cpu_seconds()
+    try:
+        with _peak_megabytes() as peak:
+            _aside(
+                papermill.execute_notebook,
+                str(source),
+                str(running),
+                parameters,
+                cwd=str(NOTEBOOKS),  # as in JupyterLab
+                progress_bar=sys.stderr.isatty(),
+                extra_arguments=["--log-level=ERROR"],  # the kernel warns of every connection that is not encrypted
+            )
+    except papermill.PapermillExecutionError as error:
+        # counted from 0 with the injected cell, this is the number from 1 without it
+        first_line = next(iter(error.source.strip().splitlines()), "")
+        raise BookError(
+            f"{source} stopped in its cell {error.cell_index} (`{first_line}`): {error.ename}: {error.evalue}"
+        ) from None
+    except failures as error:
+        raise BookError(f"{source} could not be run to its end: {error}") from error
+    running.replace(EXECUTED / running.name)
+    seconds = time.monotonic() - begin
+    _note(profile, name, seconds=seconds, cpu_seconds=_cpu_seconds() - worked, megabytes=max(peak))
+    print(f"{source} ran in profile {profile}: {_duration(seconds)}", flush=True)
+    return seconds
+
+
+def _aside(function: Callable[..., Any], *arguments: Any, **options: Any) -> None:
+    """Call a function in another thread: in the main one papermill's libraries would answer signals in their way.
+
+    What the function has started ends with it, and also where this one is left by an exception.
+    """
+    import psutil
+
+    outcome: Future[None] = Future()
+
+    def call() -> None:
+        try:
+            outcome.set_result(function(*arguments, **options))
+        except Exception as error:
+            outcome.set_exception(error)
+
+    before = psutil.Process().children()
+    threading.Thread(target=call, daemon=True).start()
+    try:
+        outcome.result()
+    except BaseException:
+        for process in psutil.Process().children(recursive=True):
+            if process not in before:
+                with contextlib.suppress(psutil.Error):  # it has just ended
+                    process.kill()
+        raise
+
+
+def _note(profile: str, name: str, **took: float) -> None:
+    """Keep what a notebook took for the page that shows it."""
+    origin = records.provenance()
+    found = times()
+    entry = {**took, "cores": os.cpu_count(), "processor": origin["processor"], "date": origin["date"]}
+    found.setdefault(profile, {})[name] = entry
+    TIMES.write_text(json.dumps(found, indent=1, sort_keys=True), encoding="utf-8")
+
+
+def _cpu_seconds() -> float:
+    """Return the CPU time of all processes that this one has started and that have ended."""
+    took = os.times()
+    return took.children_user + took.children_system
+
+
+@contextlib.contextmanager
+def _peak_megabytes() -> Iterator[list[float]]:
+    """Give a list of what the processes below this one hold together, looked at five times a second."""
+    import psutil
+
+    held, over = [0.0], threading.Event()
+
+    def watch() -> None:
+        while not over.wait(0.2):
+            total = 0
+            for process in psutil.Process().children(recursive=True):
+                with contextlib.suppress(psutil.Error):  # it has just ended
+                    total += process.memory_info().rss
+            held.append(total / 1e6)
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield held
+    finally:
+        over.set()
+        watcher.join()
+
+
+def _papermill() -> tuple:
+    """Return papermill and the errors of a notebook other than that of a cell; imported late, runs need no book."""
+    try:
+        import papermill
+        from jupyter_client.kernelspec import NoSuchKernel
+        from nbclient.exceptions import CellControlSignal, DeadKernelError
+        from nbformat.reader import NotJSONError
+    except ImportError as error:
+        raise BookError(
+            f"the book needs the package {error.name!r}: install the extra with `pip install -e '.[book]'`"
+        ) from None
+    return papermill, (DeadKernelError, CellControlSignal, NoSuchKernel, NotJSONError)
+
+
+def _assemble() -> None:
+    """Lay prose and executed notebooks side by side, which gives short addresses and cross-references between them."""
+    missing = [name for name in notebooks() if not (EXECUTED / f"{name}.ipynb").exists()]
+    if missing:
+        raise BookError(f"{NOTEBOOKS / missing[0]}.ipynb has not been run: run the notebooks before the build")
+    for stale in (SOURCE, COPIED):
+        shutil.rmtree(stale, ignore_errors=True)
+    shutil.copytree(PROSE, SOURCE)
+    if RECORDS.exists():
+        shutil.copytree(RECORDS, COPIED, ignore=shutil.ignore_patterns(".*"))
+    for name in notebooks():
+        shutil.copy(EXECUTED / f"{name}.ipynb", SOURCE)
+
+
+def _build_html() -> None:
+    """Build the HTML with every warning an error; what jupyter-book says goes to a log."""
+    for stale in (HTML, BUILD / ".doctrees"):
+        shutil.rmtree(stale, ignore_errors=True)
+    # jupyter-book 1.x has no `python -m`: its script lies beside the interpreter
+    script = Path(sys.executable).with_name("jupyter-book")
+    arguments = ["build", str(SOURCE), "--config", str(CONFIG), "--path-output", ".", "-W", "--keep-going", "-n"]
+    with LOG.open("w", encoding="utf-8") as log:
+        outcome = subprocess.run([str(script), *arguments], stdout=log, stderr=subprocess.STDOUT, check=False)
+    if outcome.returncode != 0:
+        lines = re.sub(r"\x1b\[[\d;]*m", "", LOG.read_text(encoding="utf-8")).splitlines()
+        reasons = [line for line in lines if "WARNING" in line or "ERROR" in line] or lines[-10:]
+        raise BookError("\n".join([f"jupyter-book stopped; all it said is in {LOG}:", *reasons]))
+
+
+def _repository() -> Path:
+    """Return the folder that holds the notebooks; the book is made in a clone, not from an installed package."""
+    folder = folders.checkout()
+    if folder is None:
+        raise BookError("the book is made in a clone of the repository: clone it and install with `pip install -e .`")
+    return folder
+
+
+@contextlib.contextmanager
+def _only_one() -> Iterator[None]:
+    """Work in the repository, refusing to start while another process makes the book there."""
+    folder = _repository()
+    lock = FileLock(folder / BUILD / ".lock")
+    try:
+        (folder / BUILD).mkdir(exist_ok=True)
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise BookError(f"another process is making the book in {folder / BUILD}: wait until it has finished") from None
+    except OSError as error:
+        raise BookError(f"cannot write in {folder / BUILD} ({error.strerror or error}): is it read-only?") from None
+    with lock, contextlib.chdir(folder):
+        yield
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

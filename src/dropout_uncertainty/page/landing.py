@@ -1,0 +1,431 @@
+"""What a reader sees first: ten numbers, three pictures and some findings, all made from the records.
+
+The landing page computes numbers and findings whenever the book is built. The README is static text and the pictures
+are files: ``dropout-uncertainty front`` writes them again, and a test holds them to the records.
+"""
+
+import base64
+import io
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import image
+from numpy.typing import NDArray
+
+from dropout_uncertainty import folders
+from dropout_uncertainty.active_learning import mnist
+from dropout_uncertainty.active_learning.report import analysis as active_learning
+from dropout_uncertainty.data_efficiency.ablations.report import analysis as what_matters
+from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
+from dropout_uncertainty.errors import UserError
+from dropout_uncertainty.exploration.foraging import drawing
+from dropout_uncertainty.exploration.foraging import world as w
+from dropout_uncertainty.exploration.report import analysis as exploration
+from dropout_uncertainty.exploration.report import animation
+from dropout_uncertainty.judging.collect import collect
+from dropout_uncertainty.judging.results import Result, thesis_value
+from dropout_uncertainty.page.plotting import COLOURS
+from dropout_uncertainty.runs.records import Record, root
+from dropout_uncertainty.stats import Interval, t_interval
+
+__all__ = ["FACTS", "HEADLINES", "PICTURES", "Headline", "facts", "numbers", "readme", "tally", "write"]
+
+README, FOLDER = Path("README.md"), Path("book", "_static", "front")
+#: Where the numbers stand in the README.
+BEGIN, END = "<!-- numbers: written by `dropout-uncertainty front` -->", "<!-- end of numbers -->"
+CHAPTERS = {"5.2": "5_2_active_learning", "5.3": "5_3_exploration", "5.4": "5_4_data_efficiency"}
+
+
+# ------------------------------------------------------------------ ten numbers
+
+
+@dataclass(frozen=True)
+class Headline:
+    """A number that stands for the chapter: its section, what it is, and its id among the results."""
+
+    section: str
+    what: str
+    id: str
+
+
+#: What the text of the thesis itself puts forward, and the one deterministic competitor that can choose.
+HEADLINES: tuple[Headline, ...] = (
+    Headline("5.2", "test error [%] with 1000 labels chosen at random", "table-5.1/random"),
+    Headline("5.2", "… chosen by the entropy of one deterministic pass", "table-5.1/softmax/max-entropy"),
+    Headline("5.2", "… chosen by the entropy over weight draws", "table-5.1/dropout/max-entropy"),
+    Headline("5.2", "… chosen by BALD over weight draws", "table-5.1/dropout/bald"),
+    Headline("5.2", "rounds of ten labels until 5 % error, at random", "table-5.2/random"),
+    Headline("5.2", "… by BALD over weight draws", "table-5.2/dropout/bald"),
+    Headline("5.3", "batches of 500 moves until reward 1, Thompson sampling", "figure-5.4/thompson/first-crossing"),
+    Headline("5.3", "… ε-greedy", "figure-5.4/epsilon-greedy/first-crossing"),
+    Headline("5.4", "trials until half of the runs have balanced the pole, PILCO", "figure-5.7/pilco/trials-to-solve"),
+    Headline("5.4", "… Deep PILCO", "figure-5.7/deep-pilco/trials-to-solve"),
+)
+
+
+def numbers(found: Iterable[Result] | None = None, link: str = "{}.ipynb") -> tuple[list[str], list[list[str]]]:
+    """Return heads and rows of the ten numbers beside the thesis's.
+
+    Args:
+        found: the results to look in; by default all that the stored records give.
+        link: where a chapter is, with ``{}`` for its name.
+    """
+    results = {result.id: result for result in (collect() if found is None else found)}
+    heads = ["section", "what", "thesis", "ours [95 % interval]", "repetitions", "verdict"]
+    return heads, [_row(headline, results.get(headline.id), link) for headline in HEADLINES]
+
+
+def _row(headline: Headline, result: Result | None, link: str) -> list[str]:
+    printed = thesis_value(headline.id)
+    thesis = "–" if printed is None else f"{printed:g}"
+    section = f"[{headline.section}]({link.format(CHAPTERS[headline.section])})"
+    if result is None or not result.seeds:
+        return [section, headline.what, thesis, "no records yet", "0", "undecided"]
+    repetitions, verdict = str(len(result.seeds)), result.verdict or "undecided"
+    return [section, headline.what, thesis, _ours(result), repetitions, verdict]
+
+
+def _ours(result: Result) -> str:
+    """Return our value with its interval; an end that was never reached is open."""
+    if result.ours is None:
+        return "not reached"
+    if result.low is None and result.high is None:
+        return f"{result.ours:.3g}"
+    low, high = ("…" if end is None else f"{end:.3g}" for end in (result.low, result.high))
+    return f"{result.ours:.3g} [{low}, {high}]"
+
+
+def tally(found: Iterable[Result] | None = None) -> str:
+    """Return how many claims of the chapter have which verdict, as one sentence."""
+    results = collect() if found is None else list(found)
+    verdicts = [result.verdict for result in results if result.id.startswith("claim/")]
+    counts = {verdict: verdicts.count(verdict) for verdict in ("replicated", "partly", "not replicated", "undecided")}
+    parts = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
+    return f"Of {len(verdicts)} claims of the chapter: {parts}."
+
+
+def readme(text: str, found: Iterable[Result] | None = None) -> str:
+    """Return the README's text with the ten numbers between its marks written anew.
+
+    Raises:
+        ValueError: if the marks are missing.
+    """
+    if not (BEGIN in text and END in text):
+        raise UserError(f"the README must hold the lines {BEGIN!r} and {END!r}, between which the numbers are written")
+    found = collect() if found is None else list(found)
+    heads, rows = numbers(found, "notebooks/{}.ipynb")
+    grid = "\n".join("| " + " | ".join(row) + " |" for row in [heads, [":---"] * len(heads), *rows])
+    block = f"{BEGIN}\n{grid}\n\n{tally(found)}\n{END}"
+    return re.sub(re.escape(BEGIN) + ".*?" + re.escape(END), lambda _: block, text, flags=re.DOTALL)
+
+
+# ------------------------------------------------------------------ numbers in sentences
+
+EARLY, LATE = (3_000, 50_000), (90_500, 200_000)  # ticks
+
+
+def facts(folder: Path | None = None) -> dict[str, str]:
+    """Return the numbers in the sentences of the first page, by the names that it uses; a dash without records."""
+    return {name: fact(folder) or "–" for name, fact in FACTS.items()}
+
+
+def _tied(folder: Path | None) -> str | None:
+    rows = active_learning.load_rows("ours", folder)
+    names = ("softmax/bald", "softmax/variation-ratios")
+    if not set(names) <= rows.keys():
+        return None
+    return f"{min(active_learning.share_tied(rows[name]) for name in names):.0%}"
+
+
+def _entropy(acquired: tuple[int, int], folder: Path | None) -> str | None:
+    """Return the test error, in points, of acquiring by the entropy over weight draws minus by that of one pass."""
+    rows = active_learning.load_rows("ours", folder)
+    draws, single = rows.get("dropout/max-entropy"), rows.get("softmax/max-entropy")
+    return None if draws is None or single is None else _words(active_learning.paired_error(draws, single, *acquired))
+
+
+def _entropy_steps(config: str, folder: Path | None) -> str | None:
+    """Return how many acquisitions a row chosen by an entropy needs to 5 % test error; ``config`` is "family/row"."""
+    family, name = config.split("/", 1)
+    row = active_learning.load_rows(family, folder).get(name)
+    return None if row is None else _words(row.crossing(), 0)
+
+
+def _printed_cells(statistic: str) -> str:
+    """Return how many of the printed errors are a statistic of the original program's curves, to two decimals."""
+    rows = active_learning.original_rows()
+    same = [
+        f"{getattr(row, statistic).value:.2f}" == f"{thesis_value(f'table-5.1/{n}'):.2f}" for n, row in rows.items()
+    ]
+    return f"{sum(same)} of {len(same)}"
+
+
+def _greedy(ticks: tuple[int, int], folder: Path | None) -> str | None:
+    """Return by how much the agent without exploration earns more than Thompson sampling per tick."""
+    agents = exploration.load("ours", folder)
+    if not {"greedy", "thompson"} <= agents.keys():
+        return None
+    return _words(exploration.compare(agents["greedy"], agents["thompson"], *ticks))
+
+
+def _thompson(config: str, folder: Path | None, ticks: tuple[int, int], what: str | None = None) -> str | None:
+    """Return the mean reward per tick of a Thompson agent, or the share of its moves that are ``what``."""
+    curves = exploration.load(config, folder).get("thompson")
+    if curves is None:
+        return None
+    return f"{curves.mean(*ticks).mean():.2f}" if what is None else f"{curves.share(what, *ticks).mean():.0%}"
+
+
+def _solved(config: str, trial: int, folder: Path | None) -> str | None:
+    learning = data_efficiency.load(config, folder)
+    if learning is None or learning.trials < trial:
+        return None
+    share = learning.solved_by(trial)
+    return f"{share.value * share.n:.0f} of {share.n}"
+
+
+def _solved_later(config: str, folder: Path | None) -> str | None:
+    """Return the share of solved trials among those after the first solved one of a repetition."""
+    learning = data_efficiency.load(config, folder)
+    return None if learning is None else f"{learning.solved[learning.later].mean():.0%}"
+
+
+def _held(kind: str, folder: Path | None) -> str | None:
+    """Return how many times as wide Deep PILCO's prediction is if masks are held rather than redrawn."""
+    seen = what_matters.inside(folder)
+    if seen is None:
+        return None
+    return _words(what_matters.factor(seen.log_std_ratio(f"held-{kind}", f"redrawn-{kind}")))
+
+
+def _no_dropout(what: str, digits: int, folder: Path | None) -> str | None:
+    """Return what Deep PILCO without dropout needs more than with it."""
+    found = what_matters.compare("no-dropout", folder)
+    return None if found is None else _words(getattr(found, what), digits)
+
+
+def _doubt(folder: Path | None) -> str | None:
+    """Return how a step's part in PILCO's gradient goes with the doubt about it, as claim DE11 measures it."""
+    learning = data_efficiency.load("pilco-paper", folder)
+    return None if learning is None else _words(t_interval(data_efficiency.excess_on_predictable(learning)[0]))
+
+
+def _words(interval: Interval, digits: int = 2) -> str:
+    return what_matters.words(interval, digits).replace("-", "−")
+
+
+#: The numbers by name; each is computed from the records of a folder.
+FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
+    "tied": _tied,
+    "entropy_early": lambda folder: _entropy(active_learning.EARLY, folder),
+    "entropy_end": lambda folder: _entropy(active_learning.END, folder),
+    "entropy_steps_draws": lambda folder: _entropy_steps("ours/dropout/max-entropy", folder),
+    "entropy_steps": lambda folder: _entropy_steps("ours/softmax/max-entropy", folder),
+    "entropy_steps_recorded": lambda folder: _entropy_steps("as-recorded/softmax/max-entropy", folder),
+    "cells_minimum": lambda folder: _printed_cells("minimum"),
+    "cells_last": lambda folder: _printed_cells("last"),
+    "greedy_early": lambda folder: _greedy(EARLY, folder),
+    "greedy_late": lambda folder: _greedy(LATE, folder),
+    "departs": lambda folder: _thompson("as-demo", folder, (500_000, 1_000_000), "explored"),
+    "dropout_of_text": lambda folder: _thompson("as-written", folder, LATE),
+    "dropout_of_program": lambda folder: _thompson("as-demo", folder, LATE),
+    "solved_as_written": lambda folder: _solved("deep-pilco-as-written", 25, folder),
+    "solved_ours": lambda folder: _solved("deep-pilco-ours", 25, folder),
+    "later_as_written": lambda folder: _solved_later("deep-pilco-as-written", folder),
+    "later_ours": lambda folder: _solved_later("deep-pilco-ours", folder),
+    "held_free": lambda folder: _held("free", folder),
+    "held_matched": lambda folder: _held("matched", folder),
+    "no_dropout_trials": lambda folder: _no_dropout("trials_difference", 1, folder),
+    "no_dropout_cost": lambda folder: _no_dropout("cost_difference", 2, folder),
+    "doubt": _doubt,
+}
+
+
+# ------------------------------------------------------------------ three pictures
+
+SIZE = 350, 250
+#: An animation stands still for readers who want less motion; the attributes of each shape are its first moment.
+SVG = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" font-family="sans-serif">
+<title>{title}</title>
+<desc>{origin}</desc>
+<style>{style}@media (prefers-reduced-motion: reduce) {{ * {{ animation: none !important; }} }}</style>
+<rect width="{width}" height="{height}" rx="6" fill="white"/>
+{body}
+</svg>
+"""
+
+
+def digits(folder: Path | None = None) -> str | None:
+    """Return the last digits that random acquisition and BALD asked labels for, side by side; None without records."""
+    rows = active_learning.load_rows("ours", folder)
+    chosen = {"taken at random": "random", "asked for by BALD": "dropout/bald"}
+    if not set(chosen.values()) <= rows.keys():
+        return None
+    images, records, parts = mnist.load().train_images.numpy(), [], []
+    for number, (title, name) in enumerate(chosen.items()):
+        record = rows[name].records[0]
+        points = record.arrays["points"][0, -24:]
+        tiles = images[points].reshape(6, 4, 28, 28).transpose(0, 2, 1, 3).reshape(6 * 28, 4 * 28)
+        left = 20 + 165 * number
+        parts += [
+            f'<text x="{left + 72}" y="22" text-anchor="middle" font-size="14">{title}</text>',
+            f'<image x="{left}" y="30" width="145" height="212" href="{_png(1 - tiles)}"/>',
+        ]
+        records.append(record)
+    return _svg("Handwritten digits: on the left ordinary ones, on the right unusual ones", records, "\n".join(parts))
+
+
+def agent(folder: Path | None = None) -> str | None:
+    """Return a trained agent that wanders through the 2D world for ten seconds; None without a record."""
+    curves = exploration.load("ours-thompson", folder).get("thompson")
+    if curves is None or curves.record is None:
+        return None
+    scenes = [moment.scene for moment in animation.run(animation.TrainedAgent(curves.record))]
+    style, items = _items(scenes)
+    blue = COLOURS["thompson"]
+    # drawn facing down, as an agent at angle 0 does; SVG turns the other way round
+    turns = -np.degrees(np.unwrap([scene.angle[0] for scene in scenes]))
+    places = [
+        f"translate({s.x[0]:.1f}px,{s.y[0]:.1f}px) rotate({a:.0f}deg)" for s, a in zip(scenes, turns, strict=True)
+    ]
+    style += _keyframes("walk", places) + "#agent { animation: walk 10s linear infinite; }\n"
+    angles = scenes[0].eye_angle[0] - scenes[0].angle[0]
+    eyes = "".join(f"M0,0L{w.EYE_RANGE * np.sin(a):.0f},{w.EYE_RANGE * np.cos(a):.0f}" for a in angles)
+    walls = "".join(f"M{x1:g},{y1:g}L{x2:g},{y2:g}" for x1, y1, x2, y2 in w.WALLS)
+    body = (
+        f'<g transform="scale(0.5)"><path d="{walls}" stroke="#444444" stroke-width="5" stroke-linecap="round"/>'
+        f'{items}<g id="agent" transform="{_still(places[0])}"><path d="{eyes}" stroke="#9a9a9a" stroke-width="2"/>'
+        f'<path d="M-10,6L0,24L10,6" fill="{blue}"/><circle r="13" fill="{blue}"/></g></g>'
+    )
+    title = "A walled field with red discs and green rings; a blue agent with nine eyes moves through it"
+    return _svg(title, [curves.record], body, style)
+
+
+def _items(scenes: Sequence[drawing.Scene]) -> tuple[str, str]:
+    """Return style and shapes of all items that are there at some time, each shown as long as it is there."""
+    last = len(scenes)
+    style: list[str] = []
+    shapes: list[str] = []
+    for slot in range(len(scenes[0].item_kind)):
+        states = [(s.item_x[slot], s.item_y[slot], s.item_kind[slot]) for s in scenes]
+        starts = [0, *(i for i in range(1, last) if states[i] != states[i - 1]), last]
+        for start, end in itertools.pairwise(starts):
+            x, y, kind = states[start]
+            if kind == w.NOTHING:
+                continue
+            colour = drawing.KIND_COLOURS[kind]
+            ring = f'r="8" fill="none" stroke="{colour}" stroke-width="4"'
+            look = f'r="10" fill="{colour}"' if kind == w.FOOD else ring
+            name, hidden = f"i{len(shapes)}", ' opacity="0"' if start else ""
+            shapes.append(f'<circle id="{name}" cx="{x:.0f}" cy="{y:.0f}" {look}{hidden}/>')
+            changes = [(0, int(start == 0)), *[(start, 1)] * (start > 0), *[(end, 0)] * (end < last)]
+            steps = "".join(f"{100 * time / last:.1f}%{{opacity:{shown}}}" for time, shown in changes)
+            style.append(f"@keyframes {name}{{{steps}}}#{name}{{animation:{name} 10s step-end infinite}}\n")
+    return "".join(style), "".join(shapes)
+
+
+def cartpole(folder: Path | None = None) -> str | None:
+    """Return PILCO's first solved trial, in real time and again and again; None without a record or a solved trial."""
+    learning = data_efficiency.load("pilco-paper", folder)
+    if learning is None or not np.isfinite(learning.first_solved).any():
+        return None
+    replica = int(np.argmin(learning.first_solved))
+    trial = int(learning.first_solved[replica])
+    states, plant = learning.arrays["states"][replica, trial], learning.plant
+    scale, pause = 130, 1.5
+    length, seconds = scale * plant.pole_length, plant.dt * plant.steps
+    share = seconds / (seconds + pause)
+    # counter-clockwise is positive; SVG turns clockwise since its y axis points down
+    x = [f"translateX({scale * value:.1f}px)" for value in states[:, 0]]
+    turn = [f"rotate({-math.degrees(value):.1f}deg)" for value in states[:, 3]]
+    style = _keyframes("cart", x, share) + _keyframes("pole", turn, share)
+    for name in ("cart", "pole"):
+        style += f"#{name} {{ animation: {name} {seconds + pause:g}s linear infinite; }}\n"
+    body = (
+        f'<text x="12" y="24" font-size="14">trial {trial}</text><g transform="translate(175,140)">'
+        f'<path d="M-165,9H165" stroke="#999999"/><path d="M-7,{-length - 7:g}l14,14m0,-14l-14,14" stroke="black" '
+        f'stroke-width="4"/><g id="cart" transform="{_still(x[0])}"><rect x="-22" y="-9" width="44" height="18" '
+        f'fill="#BBBBBB" stroke="#333333"/><g id="pole" transform="{_still(turn[0])}"><path d="M0,0V{-length:g}" '
+        f'stroke="{COLOURS["pilco"]}" stroke-width="6" stroke-linecap="round"/></g></g></g>'
+    )
+    record = next(r for r in learning.records if learning.seeds[replica] in r.seeds)
+    return _svg("A cart swings a hanging pole up and balances it on a cross", [record], body, style)
+
+
+#: The pictures by the names of their files.
+PICTURES: Mapping[str, Callable[[Path | None], str | None]] = {"digits": digits, "agent": agent, "cartpole": cartpole}
+
+
+def write(folder: Path | None = None) -> list[str]:
+    """Write the README's numbers and the pictures from the records; return what was done, one line each.
+
+    A picture whose records are missing stays as it is.
+
+    Raises:
+        UserError: outside a clone, or if the README's numbers rest on more repetitions than there are records of, or
+            if a file cannot be written.
+    """
+    clone = folders.checkout()
+    if clone is None:
+        raise UserError("README and pictures belong to a clone of the repository, and this is an installed package")
+    old = (clone / README).read_text(encoding="utf-8")
+    new = readme(old, collect(folder))
+    now = _repetitions(new)
+    for what, before in _repetitions(old).items():
+        if now.get(what, before) < before:
+            raise UserError(
+                f"{README} has {before} repetitions of {what!r}, the records in {folder or root()} {now[what]}: "
+                "it stays as it is"
+            )
+    drawn = {FOLDER / f"{name}.svg": draw(folder) for name, draw in PICTURES.items()}
+    try:
+        (clone / FOLDER).mkdir(parents=True, exist_ok=True)
+        for target, content in {README: new, **drawn}.items():
+            if content is not None:
+                (clone / target).write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {error.filename} ({error.strerror}): is the clone read-only?") from None
+    done = [f"{README} has the numbers of the records"]
+    for target, svg in drawn.items():
+        done.append(f"{target} {'stays as it is: its records are missing' if svg is None else 'is drawn anew'}")
+    return done
+
+
+def _repetitions(text: str) -> dict[str, int]:
+    """Return how many repetitions each of the README's numbers rests on, by what it is."""
+    block = text.partition(BEGIN)[2].partition(END)[0]
+    rows = [line.strip("| ").split(" | ") for line in block.splitlines()]
+    return {row[1]: int(row[4]) for row in rows if len(row) == 6 and row[4].isdigit()}
+
+
+def _svg(title: str, records: Sequence[Record], body: str, style: str = "") -> str:
+    width, height = SIZE
+    made = "Made from " + " and ".join(f"{record.label} {record.header['payload'][:16]}" for record in records)
+    return SVG.format(width=width, height=height, title=escape(title), origin=escape(made), style=style, body=body)
+
+
+def _keyframes(name: str, transforms: Sequence[str], share: float = 1.0) -> str:
+    """Return a CSS animation that goes through transforms in the first ``share`` of its time and then stands still."""
+    last = len(transforms) - 1
+    steps = "".join(f"{100 * share * i / last:.2f}%{{transform:{t}}}" for i, t in enumerate(transforms))
+    rest = "" if share == 1 else f"100%{{transform:{transforms[-1]}}}"
+    return f"@keyframes {name}{{{steps}{rest}}}\n"
+
+
+def _still(transform: str) -> str:
+    """Return a transform of CSS as the attribute of an SVG element, which has no units."""
+    return re.sub(r"translateX\((.*?)\)", r"translate(\1)", transform).replace("px", "").replace("deg", "")
+
+
+def _png(grey: NDArray[Any]) -> str:
+    """Return an image of values in [0, 1] as the address of a PNG that is part of the file."""
+    file = io.BytesIO()
+    image.imsave(file, grey, cmap="gray", vmin=0, vmax=1, format="png")
+    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()

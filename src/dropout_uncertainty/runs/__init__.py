@@ -1,0 +1,1 @@
+"""Runs: units of work, the process that computes one, its execution, its record, and recomputing it."""

@@ -1,0 +1,274 @@
+"""What matters, from synthetic records: differences, verdicts that follow their rules, exponents, pictures."""
+
+import matplotlib
+import numpy as np
+import pytest
+
+matplotlib.use("agg")
+import matplotlib.pyplot as plt
+
+from dropout_uncertainty.data_efficiency.ablations import variants
+from dropout_uncertainty.data_efficiency.ablations.probes import CLOUDS, OPTIMISERS
+from dropout_uncertainty.data_efficiency.ablations.report import analysis as matters
+from dropout_uncertainty.data_efficiency.ablations.report import figures
+from dropout_uncertainty.data_efficiency.ablations.report.statements import CLAIMS, at_most, near
+from dropout_uncertainty.data_efficiency.ablations.variants import MECHANISM, SCALING, VARIANTS
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS
+from dropout_uncertainty.data_efficiency.deep_pilco.particles import MATCHING
+from dropout_uncertainty.data_efficiency.pilco.learner import PILCO_PAPER
+from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
+from dropout_uncertainty.data_efficiency.report import analysis
+from dropout_uncertainty.runs import records
+from dropout_uncertainty.stats import Interval
+
+CLAIM = {claim.id: claim for claim in CLAIMS}
+RUNS, STEPS = 10, PAPER.steps
+rng = np.random.default_rng(100)
+
+
+def costs(first, trials):
+    """Return costs of repetitions that are solved from the trials ``first`` on."""
+    good = np.arange(trials + 1) >= np.array(first)[:, None]
+    return np.where(good[..., None] & (np.arange(STEPS) >= 10), 0.05, 1.0)
+
+
+def write(folder, name, config, arrays, provenance=None, runs=RUNS):
+    plain = records.config_dict(config)
+    header = {
+        "experiment": "data_efficiency", "name": name, "seeds": list(range(runs)), "config": plain,
+        "config_hash": records.config_hash(plain), "device": "cpu", "precision": "float32",
+        "provenance": provenance or {},
+    }  # fmt: skip
+    records.write(folder / "data_efficiency" / name / f"000-{runs - 1:03d}.npz", arrays, header)
+
+
+def learned(folder, name, config, first):
+    arrays = {"costs": costs(first, config.trials).astype(np.float16)}
+    write(folder, name, config, arrays | {"predicted_cost": arrays["costs"]}, runs=len(first))
+
+
+def looked(folder, *, holds=True):
+    """Write a record of the mechanism in which the claims hold, or none of them does."""
+    sign, shape = (1 if holds else -1), (RUNS, len(MECHANISM.measured))
+    noise = 0.01 * rng.standard_normal((RUNS, *(1,) * 4))
+    # log of the predicted std by cloud: masks held give more than masks redrawn
+    wide = np.array([sign * 0.3 if "held" in name else 0.0 for name in CLOUDS])
+    std = np.exp(np.broadcast_to(wide[:, None, None], (*shape, len(CLOUDS), STEPS, 4)) + noise)
+    errors = rng.uniform(-2.4, 2.4, (*shape, STEPS + 1, 4)) if holds else np.zeros((*shape, STEPS + 1, 4))
+    valley = rng.uniform(size=(*shape, len(CLOUDS), STEPS))
+    variance = np.array([1.0, 2.0, 4.0]) if holds else np.array([4.0, 2.0, 1.0])
+    scatter = np.broadcast_to(variance[:, None], (*shape, len(MATCHING), len(MECHANISM.horizons)))
+    bias = sign * 0.1 / np.array(MECHANISM.counts)
+    reached = {"fresh-adam": 0.5, "fixed-adam": 0.48, "fixed-bfgs": 0.45}
+    fresh = {"fresh-adam": 0.5, "fixed-adam": 0.55, "fixed-bfgs": 0.5 + sign * 0.1}
+    arrays = {
+        "costs": costs([5] * RUNS, MECHANISM.trials), "predicted_cost": costs([5] * RUNS, MECHANISM.trials),
+        "true_states": errors, "cloud_mean": np.zeros_like(std), "cloud_std": std, "cloud_valley": valley,
+        "penalty": sign * valley[:, :, 1] + 0.1 * rng.standard_normal((*shape, STEPS)),
+        "gradient_variance": scatter * np.exp(noise[..., 0]), "gradient_norm": np.ones_like(scatter),
+        "objective": np.broadcast_to(0.5 + bias, (*shape, len(MATCHING), len(bias))) + noise[..., 0],
+        "reached": np.array([reached[name] for name in OPTIMISERS]) + noise[..., 0, 0],
+        "fresh": np.array([fresh[name] for name in OPTIMISERS]) + 2 * noise[..., 0, 0],
+    }  # fmt: skip
+    small = {name: value.astype(np.float32) for name, value in arrays.items()}
+    write(folder, "what-matters/mechanism", MECHANISM, small)
+
+
+def pilco(folder, *, narrow=True):
+    config, shape = PILCO_PAPER, (RUNS, PILCO_PAPER.trials + 1, STEPS + 1, 4)
+    true = rng.standard_normal(shape) if narrow else np.zeros(shape)
+    arrays = {
+        "costs": costs([5] * RUNS, config.trials), "predicted_cost": costs([5] * RUNS, config.trials), "states": true,
+        "predicted_mean": np.zeros(shape), "predicted_variance": np.full(shape, 0.25),
+    }  # fmt: skip
+    write(folder, "pilco-paper", config, arrays)
+
+
+def timed(folder, exponents=(2.0, 2.0, 2.0), flat=(0.0, 0.5, 1.0), runs=RUNS):
+    seconds = np.array([
+        np.prod(np.array(sizes, float) ** (exponents if method == "pilco" else flat))
+        for method, _, sizes in SCALING.points()
+    ])  # fmt: skip
+    noisy = seconds * np.exp(0.01 * rng.standard_normal((runs, len(seconds))))
+    values = {name: np.zeros((runs, len(seconds)), np.float32) for name in ("fit_value", "trial_value")}
+    times = {"scaling_fit_s": (0.25 * noisy).tolist(), "scaling_policy_s": (0.75 * noisy).tolist()}
+    write(folder, "what-matters/scaling", SCALING, values, times, runs)
+
+
+def world(folder, *, holds=True, changed=()):
+    """Write all records, such that every claim holds, or that none does."""
+    learned(folder, "deep-pilco-ours", OURS, [5] * RUNS if holds else [99] * RUNS)
+    for name, variant in VARIANTS.items():
+        robust = variant.claim == "DE10" or name == "matching-diagonal"
+        first = [6] * RUNS if robust == holds else [99] * RUNS if holds else [4] * RUNS
+        learned(folder, f"what-matters/{name}", variant.config, dict(changed).get(name, first))
+    looked(folder, holds=holds)
+    pilco(folder, narrow=holds)
+    timed(folder, *(((2, 2, 2), (0, 0.5, 1)) if holds else ((1, 1, 1), (1, 2, 2))))
+    return folder
+
+
+@pytest.mark.parametrize("claim", CLAIM)
+def test_claims_that_hold_are_replicated(tmp_path, claim):
+    judgement = CLAIM[claim].judge(world(tmp_path))
+    assert judgement.verdict == "replicated", judgement.sentence
+    assert judgement.records
+
+
+@pytest.mark.parametrize("claim", ["DE4", "DE5", "DE6", "DE7", "DE8"])
+def test_claims_that_fail_are_not(tmp_path, claim):
+    judgement = CLAIM[claim].judge(world(tmp_path, holds=False))
+    assert judgement.verdict == "not replicated", judgement.sentence
+
+
+def test_one_sensitive_hyper_parameter_leaves_de10_partly_replicated(tmp_path):
+    judgement = CLAIM["DE10"].judge(world(tmp_path, changed={"dropout-twice": [99] * RUNS}))
+    assert judgement.verdict == "partly"
+    assert [part.verdict for part in judgement.parts] == ["not replicated", *["replicated"] * 4]
+
+
+def test_guard_and_ports_are_not_judged(tmp_path):
+    lost = dict.fromkeys(("weights-fifth", "no-guard", "cost-at-mean", "euler-plant", "raw-inputs"), [99] * RUNS)
+    assert CLAIM["DE10"].judge(world(tmp_path, changed=lost)).verdict == "replicated"
+
+
+def test_a_missing_record_leaves_a_claim_undecided(tmp_path):
+    learned(tmp_path, "deep-pilco-ours", OURS, [5] * RUNS)
+    for claim in CLAIM.values():
+        judgement = claim.judge(tmp_path)
+        assert judgement.verdict == "undecided"
+        assert any(part.interval.n == 0 for part in judgement.parts), claim.id
+
+
+def test_pairs_share_seeds_and_trials(tmp_path):
+    learned(tmp_path, "deep-pilco-ours", OURS, [5, 30, 30, 30, 30, 30])
+    learned(tmp_path, "what-matters/no-guard", VARIANTS["no-guard"].config, [99, 99, 3, 3])
+    found = matters.compare("no-guard", tmp_path)
+    assert found.first.seeds == found.second.seeds == (0, 1, 2, 3)
+    assert found.first.trials == found.second.trials == variants.TRIALS
+    assert found.solved.value == 0.5
+    assert found.solved_difference.value == pytest.approx(0.25)  # ours solved one by then: later trials do not count
+    missed = variants.TRIALS + 1
+    assert found.trials_difference.value == pytest.approx(np.mean([missed - 5, 0, 3 - missed, 3 - missed]))
+    assert matters.compare("no-dropout", tmp_path) is None
+    assert [comparison.name for comparison in matters.comparisons(tmp_path)] == ["no-guard"]
+    ids = {result.id: result for result in matters.results(tmp_path)}
+    assert ids["what-matters/no-guard/solved-by-20"].ours == 0.5
+    assert ids["what-matters/no-guard/solved-by-20/difference"].seeds == [0, 1, 2, 3]
+
+
+def test_paired_shares():
+    yes, no = np.ones(10, bool), np.zeros(10, bool)
+    value, low, high, n = matters.share_difference(yes, no)
+    assert (value, n) == (1, 10)
+    assert 0.5 < low < 1
+    assert high == 1
+    value, low, high, _ = matters.share_difference(yes, yes)  # a t interval would have no width
+    assert low < value == 0 < high
+    half = np.arange(10) < 5
+    wide, narrow = matters.share_difference(half, ~half), matters.share_difference(half, half)
+    assert narrow.high - narrow.low < wide.high - wide.low  # what goes together differs less
+    np.testing.assert_allclose(narrow[1:3], (0, 0), atol=1e-9)
+    with pytest.raises(ValueError, match="one flag per seed"):
+        matters.share_difference(yes, yes[:5])
+
+
+def test_the_interval_of_paired_shares_covers_the_truth():
+    g = np.random.default_rng(101)
+    common = g.uniform(size=(500, 20))
+    first, second = common < 0.8, 0.7 * common + 0.3 * g.uniform(size=common.shape) < 0.5
+    truth = first.mean() - second.mean()
+    found = [matters.share_difference(a, b) for a, b in zip(first, second, strict=True)]
+    assert 0.92 < np.mean([low <= truth <= high for _, low, high, _ in found]) < 0.99
+
+
+def test_exponents_are_recovered(tmp_path):
+    timed(tmp_path, (1.9, 1.5, 2.2), (0.02, 0.4, 0.8))
+    taken = matters.times(tmp_path)
+    for axis, pilco_exponent, deep_exponent in zip(
+        ("transitions", "inputs", "outputs"), (1.9, 1.5, 2.2), (0.02, 0.4, 0.8), strict=True
+    ):
+        assert taken.exponents("pilco", axis).mean() == pytest.approx(pilco_exponent, abs=0.02)
+        assert taken.exponents("deep-pilco", axis).mean() == pytest.approx(deep_exponent, abs=0.02)
+        np.testing.assert_allclose(taken.local_exponents("pilco", axis).mean(0), pilco_exponent, atol=0.05)
+    ids = {result.id: result for result in matters.results(tmp_path)}
+    found = ids["what-matters/scaling/pilco/transitions"]
+    assert found.low < found.ours < found.high
+    assert found.ours == pytest.approx(1.9, abs=0.02)
+
+
+def test_an_overhead_does_not_count_where_it_has_been_outgrown():
+    sizes = np.array(SCALING.pilco_sizes[0], float)
+    seconds = np.zeros((5, len(SCALING.points())))
+    seconds[:, : len(sizes)] = 1 + 1e-3 * sizes**2
+    taken = matters.Times(SCALING, seconds + 1e-9, np.zeros_like(seconds))
+    assert taken.local_exponents("pilco", "transitions")[0, 0] < 1.7
+    assert taken.exponents("pilco", "transitions").mean() == pytest.approx(2, abs=0.05)
+
+
+def test_rules_of_exponents():
+    assert near(Interval(2.0, 1.9, 2.1, 10), 2.0) == "replicated"
+    assert near(Interval(2.2, 2.1, 2.3, 10), 2.0) == "partly"
+    assert near(Interval(1.2, 1.1, 1.3, 10), 2.0) == "not replicated"
+    assert near(Interval(2.0, 1.9, 2.1, 4), 2.0) == "undecided"
+    assert at_most(Interval(0.3, 0.2, 0.4, 10), 1.0) == "replicated"
+    assert at_most(Interval(1.2, 1.1, 1.3, 10), 1.0) == "partly"
+    assert at_most(Interval(1.5, 1.4, 1.6, 10), 1.0) == "not replicated"
+    assert at_most(Interval(1.5, 1.4, 1.6, 4), 1.0) == "undecided"
+
+
+def test_numbers_of_the_mechanism(tmp_path):
+    looked(tmp_path)
+    seen = matters.inside(tmp_path)
+    np.testing.assert_allclose(seen.log_std_ratio("held-free", "redrawn-free"), 0.3, atol=1e-5)
+    assert (seen.coverage("held-free") > seen.coverage("redrawn-free")).all()
+    np.testing.assert_allclose(seen.log_gradient_ratio("off", "full"), np.log(4), rtol=1e-5)
+    np.testing.assert_allclose(seen.log_gradient_ratio("off", "full", noise=True), np.log(2), rtol=1e-5)
+    np.testing.assert_allclose(seen.bias("full")[:, 0], 0.1 / 5 - 0.1 / 100, atol=1e-5)
+    assert seen.behind("fixed-bfgs").mean() == pytest.approx(0.1, abs=1e-3)
+    assert seen.optimism("fixed-bfgs").mean() == pytest.approx(0.15, abs=0.02)
+    ids = {result.id for result in matters.results(tmp_path)}
+    assert {"what-matters/mechanism/held-free/coverage", "what-matters/mechanism/bias/off/5"} <= ids
+
+
+def test_development_seeds_are_left_out(tmp_path):
+    timed(tmp_path, runs=3)
+    path = tmp_path / "data_efficiency" / "what-matters" / "scaling" / "000-002.npz"
+    record = records.read(path)
+    path.unlink()
+    records.write(path.with_name("100-102.npz"), record.arrays, record.header | {"seeds": [100, 101, 102]})
+    assert matters.times(tmp_path) is None
+    assert matters.inside(tmp_path) is None
+    assert matters.results(tmp_path) == []
+
+
+def test_quick_run_is_held_to_its_bands(tmp_path):
+    world(tmp_path)
+    ours, seen, taken = matters.baseline(tmp_path), matters.inside(tmp_path), matters.times(tmp_path)
+    matters.check_quick(ours, seen, taken)
+    timed(tmp_path / "other", (0, 0, 0))
+    with pytest.raises(ValueError, match=r"time grows with exponents -?0\.0\d"):
+        matters.check_quick(ours, seen, matters.times(tmp_path / "other"))
+
+
+def test_pictures_show_the_numbers(tmp_path):
+    world(tmp_path)
+    found, seen = matters.comparisons(tmp_path), matters.inside(tmp_path)
+    _, axes = plt.subplots(1, 2, sharey=True)
+    figures.forest(list(axes), found)
+    points = [line.get_xdata()[0] for line in axes[0].lines if line.get_marker() == "o"]
+    np.testing.assert_allclose(points, [comparison.solved_difference.value for comparison in found])
+    labels = [text.get_text() for text in axes[0].get_yticklabels()]
+    assert labels[1] == "no moment matching  (0/10)"
+    _, axes = plt.subplots(1, 2)
+    figures.clouds(list(axes), seen, analysis.load("pilco-paper", tmp_path))
+    np.testing.assert_allclose(axes[1].lines[0].get_ydata(), seen.covered("held-free").mean((0, 1, 3)))
+    figures.parting(list(axes), seen)
+    figures.gradients(list(axes), seen)
+    figures.objective(axes[0], seen)
+    figures.optimisers(axes[1], seen)
+    figures.optimism(axes[0], {"ours": found[0].second, "no dropout": found[6].first})
+    _, axes = plt.subplots(1, 3)
+    figures.curves(list(axes), {"a": found[:2], "b": found[2:4], "c": []})
+    figures.scaling(list(axes), matters.times(tmp_path))
+    plt.close("all")

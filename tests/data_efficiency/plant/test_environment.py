@@ -1,0 +1,62 @@
+"""The Gymnasium environment: its checker, and the same plant behind it."""
+
+import sys
+import warnings
+
+import numpy as np
+import pytest
+import torch
+
+from dropout_uncertainty.data_efficiency.plant import cartpole
+from dropout_uncertainty.data_efficiency.plant.cost import cost
+from dropout_uncertainty.errors import UserError
+
+
+def test_without_gymnasium_the_error_names_the_extra(monkeypatch):
+    name = "dropout_uncertainty.data_efficiency.plant.environment"
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    with pytest.raises(UserError, match=r"dropout-uncertainty\[gym\]"):
+        __import__(name)
+    monkeypatch.delitem(sys.modules, name, raising=False)
+
+
+@pytest.fixture
+def make():
+    pytest.importorskip("gymnasium")
+    from dropout_uncertainty.data_efficiency.plant.environment import CartPoleSwingUp
+
+    return CartPoleSwingUp
+
+
+@pytest.mark.parametrize("preset", sorted(cartpole.PRESETS))
+def test_passes_gymnasiums_checker(make, preset):
+    from gymnasium.utils.env_checker import check_env
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*(infinity|spec).*")  # unbounded positions; made without registry
+        check_env(make(preset), skip_render_check=True)
+
+
+def test_steps_the_plant_and_ends_with_the_trial(make):
+    env = make("paper")
+    observation, info = env.reset(seed=100)
+    assert np.abs(observation - info["state"]).max() < 0.06
+    state = torch.from_numpy(info["state"])
+    for t in range(env.plant.steps):
+        action = np.array([0.3 * (-1) ** t], dtype=np.float32)
+        _, reward, terminated, truncated, info = env.step(action)
+        state = cartpole.step(env.plant, state, torch.tensor(10 * float(action[0]), dtype=torch.float64))
+        np.testing.assert_allclose(info["state"], state, rtol=1e-12, atol=1e-12)
+        assert reward == pytest.approx(1 - cost(env.plant, state).item())
+        assert (terminated, truncated) == (False, t == env.plant.steps - 1)
+
+
+def test_misuse_is_named(make):
+    env = make()
+    with pytest.raises(UserError, match="call reset first"):
+        env.step(np.zeros(1, dtype=np.float32))
+    env.reset(seed=100)
+    with pytest.raises(UserError, match="one finite number"):
+        env.step(np.array([np.nan], dtype=np.float32))

@@ -1,0 +1,188 @@
+"""Controllers and cost: the original's moments and derivatives, Monte Carlo, limits of certainty, clear errors."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from dropout_uncertainty.data_efficiency import policies
+from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, feature_moments
+from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, features
+from dropout_uncertainty.data_efficiency.plant.cost import cost, cost_moments, saturating_moments
+from dropout_uncertainty.data_efficiency.policies import LinearController, RBFController
+from dropout_uncertainty.rng import generator
+
+HALF_TURN = torch.tensor([0.0, 0, 0, math.pi], dtype=torch.float64)
+
+
+def controller_of(hyp, inputs, targets):
+    """The controller of the original's parameters; it overrules their signal and noise."""
+    return RBFController.from_targets(inputs[None], hyp[: inputs.shape[1]].T[None], targets.T[None])
+
+
+def output(controller, m, s, limit=None):
+    x = Gaussian(m[None], s[None])
+    moments = controller.moments(x) if limit is None else policies.force_moments(controller, limit, x)
+    return tuple(a[0] for a in moments)
+
+
+@pytest.mark.parametrize("key", ["congp", "conCat"])
+@pytest.mark.parametrize("number", range(5))
+def test_rbf_controller_matches_the_original(golden, derivatives, close, check_moments, key, number):
+    case = golden(key)[number]
+    limit = case["maxU"].reshape(-1) if key == "conCat" else None  # one per output
+    m, s = case["m"][:, 0], case["s"]
+    parameters = (case["hyp"], case["inputs"], case["targets"])
+    controller = controller_of(*parameters)
+    # for a certain input (case 4) the covariance is the jitter of 1e-6 plus rounding of the difference of two
+    # moments
+    tolerance = 1e-8 if s.abs().max() == 0 else 1e-9
+    check_moments(case, lambda m, s: output(controller, m, s, limit), m, s, ("M", "S", "C"), tolerance, tolerance)
+    for i, name in enumerate("MSC"):
+        columns = []
+        for j, parameter in enumerate(parameters):
+
+            def varied(p, i=i, j=j):
+                return output(controller_of(*parameters[:j], p, *parameters[j + 1 :]), m, s, limit)[i]
+
+            columns.append(derivatives.jacobian(varied, parameter))
+        close(torch.cat(columns, 1), case[f"d{name}dp"], tolerance, f"d{name}dp")
+
+
+def test_saturating_moments_match_the_original(golden, derivatives, close):
+    for case in golden("lossSat"):
+        m, s, target = case["m"][:, 0], case["s"], case["z"][:, 0]
+        values, vectors = torch.linalg.eigh(case["W"])
+        factor = (vectors * values.clamp_min(0).sqrt()).mT
+
+        def moments(m, s, target=target, factor=factor):
+            return saturating_moments(Gaussian(m, (s + s.mT) / 2), target, factor)
+
+        got = moments(m, s)
+        for i, name in enumerate("LSC"):
+            if name == "S" and s.abs().max() == 0:
+                assert got[1].abs() < 1e-14
+            else:
+                close(got[i], case[name], 1e-9, name)
+            d_m = derivatives.jacobian(lambda m, i=i, s=s: moments(m, s)[i].reshape(-1), m)
+            d_s = derivatives.jacobian(lambda s, i=i, m=m: moments(m, s)[i].reshape(-1), s)
+            scale = max(case[f"d{name}dm"].abs().max().item(), 1e-6)
+            assert (d_m - case[f"d{name}dm"]).abs().max() < 1e-9 * scale, name
+            expected = derivatives.symmetrise(case[f"d{name}ds"].reshape(len(d_s), -1), 6)
+            assert (derivatives.symmetrise(d_s, 6) - expected).abs().max() < 1e-9 * max(expected.abs().max(), 1e-6)
+
+
+def test_cost_of_a_gaussian_state_matches_the_original(golden, derivatives, close):
+    for case in golden("loss_cp"):
+        m, s = case["m"][:, 0] + HALF_TURN, case["s"]
+        widths = case["width"].reshape(-1).tolist()
+
+        def value(m, s, case=case, widths=widths):
+            """The original's mixture over widths and its bonus for uncertainty, put together here."""
+            total = 0
+            for width in widths:
+                plant = replace(MATLAB, cost_width=width, pole_length=case["p"].item())
+                mean, variance = cost_moments(plant, Gaussian(m, (s + s.mT) / 2))
+                bonus = case["expl"] * variance.sqrt() if case["expl"] != 0 and variance > 1e-12 else 0
+                total = total + mean + bonus
+            return (total / len(widths)).reshape(1)
+
+        close(value(m, s), case["L"], name="L")
+        close(derivatives.jacobian(lambda m, s=s: value(m, s), m), case["dLdm"], name="dLdm")
+        jac = derivatives.symmetrise(derivatives.jacobian(lambda s, m=m: value(m, s), s), 4)
+        close(jac, derivatives.symmetrise(case["dLds"], 4), 1e-8, "dLds")
+
+
+def some_state(seed=100):
+    root = 0.3 * torch.randn(2, 4, 4, generator=generator(seed), dtype=torch.float64)
+    return Gaussian(torch.tensor([[0.1, 0, 0, 0.3], [-0.2, 1, 0, 2.5]], dtype=torch.float64), root @ root.mT)
+
+
+def some_controllers(seed=100):
+    g = generator(seed)
+
+    def normal(*shape):
+        return torch.randn(*shape, generator=g, dtype=torch.float64)
+
+    rbf = RBFController.from_targets(normal(2, 7, 5), 0.3 * normal(2, 1, 5), normal(2, 1, 7))
+    return rbf, LinearController(normal(2, 5, 1), normal(2, 1))
+
+
+def test_points_in_any_batch_shape_and_within_the_limit():
+    states = torch.randn(2, 6, 4, generator=generator(101), dtype=torch.float64)
+    for controller in some_controllers():
+        forces = policies.force(controller, PAPER, states)
+        assert forces.shape == (2, 6)
+        assert forces.abs().max() <= PAPER.force_limit
+        one = policies.force(controller, PAPER, states[:, 3])
+        torch.testing.assert_close(one, forces[:, 3])
+        folded = policies.force(controller, PAPER, states.reshape(2, 2, 3, 4))
+        torch.testing.assert_close(folded.reshape(2, 6), forces)
+
+
+def test_rbf_controller_is_a_sum_of_gaussians_and_nearly_meets_its_targets():
+    rbf, _ = some_controllers()
+    x = features(torch.randn(2, 1, 4, generator=generator(101), dtype=torch.float64))
+    distance = (x - rbf.centres) / rbf.log_length_scales.exp()
+    by_hand = (rbf.weights[:, 0] * torch.exp(-(distance**2).sum(-1) / 2)).sum(-1)
+    torch.testing.assert_close(rbf(x)[:, 0, 0], by_hand)
+    targets = torch.randn(2, 1, 7, generator=generator(100, "targets"), dtype=torch.float64)
+    again = RBFController.from_targets(rbf.centres, rbf.log_length_scales, targets)
+    torch.testing.assert_close(again(rbf.centres)[..., 0], targets[:, 0], rtol=0, atol=0.02)
+
+
+def test_squash_reaches_the_limit_flatly():
+    u = torch.linspace(-3, 3, 1001, dtype=torch.float64)
+    assert policies.squash(u, 10.0).abs().max() <= 10
+    top = torch.tensor([math.pi / 2], dtype=torch.float64, requires_grad=True)
+    value = policies.squash(top, 10.0)
+    assert value.item() == pytest.approx(10)
+    assert torch.autograd.grad(value, top)[0].abs() < 1e-12
+
+
+def test_a_certain_state_gives_the_force_of_the_point():
+    state = some_state()
+    certain = Gaussian(state.mean, torch.zeros_like(state.cov))
+    for controller in some_controllers():
+        moments = policies.force_moments(controller, 10.0, feature_moments(certain).out)
+        point = policies.force(controller, MATLAB, state.mean)
+        # the jitter on the preliminary variance of 1e-6 moves the mean by about as much
+        torch.testing.assert_close(moments.mean[:, 0], point, rtol=0, atol=1e-4)
+        assert (moments.cov >= 0).all()
+        assert (moments.cov < 1e-3).all()
+
+
+def test_expected_cost_matches_monte_carlo_over_gaussian_features_and_the_point():
+    state = some_state()
+    mean, variance = cost_moments(MATLAB, state)
+    x = feature_moments(state)
+    noise = torch.randn(60_000, 2, 5, generator=generator(102), dtype=torch.float64)
+    jitter = 1e-10 * torch.eye(5, dtype=torch.float64)
+    draws = x.mean + (torch.linalg.cholesky(x.cov + jitter) @ noise[..., None])[..., 0]
+    length = MATLAB.pole_length
+    tip = torch.stack((draws[..., 0] - length * draws[..., 3], length * draws[..., 4] - length), -1)
+    costs = 1 - torch.exp(-(tip**2).sum(-1) / (2 * MATLAB.cost_width**2))
+    error = costs.std(0) / math.sqrt(len(costs))
+    assert ((costs.mean(0) - mean).abs() < 4.5 * error).all()
+    squares = (costs - mean) ** 2
+    assert ((squares.mean(0) - variance).abs() < 4.5 * squares.std(0) / math.sqrt(len(costs))).all()
+    point, none = cost_moments(MATLAB, Gaussian(state.mean, torch.zeros_like(state.cov)))
+    torch.testing.assert_close(point, cost(MATLAB, state.mean))
+    assert none.abs().max() < 1e-12
+
+
+def test_uncertainty_gives_the_hanging_pole_a_slope():
+    # the reason why PILCO takes the expectation: 1 rad from hanging, the point's cost is flat
+    def slope(std):
+        theta = torch.tensor(math.pi - 1, dtype=torch.float64, requires_grad=True)
+        mean = torch.stack((*torch.zeros(3, dtype=torch.float64), theta))
+        cov = torch.diag(torch.tensor([0.0, 0, 0, std**2], dtype=torch.float64))
+        return torch.autograd.grad(cost_moments(PAPER, Gaussian(mean, cov))[0], theta)[0].item()
+
+    assert abs(slope(1.0)) > 50 * abs(slope(0.0))
+
+
+def test_lengths_that_disagree_are_named():
+    with pytest.raises(ValueError, match=r"got lengths \(3, 2, 3\)"):
+        saturating_moments(Gaussian(torch.zeros(3), torch.eye(3)), torch.zeros(2), torch.eye(3))

@@ -1,0 +1,196 @@
+"""What a reader sees first is what the records say: ten numbers, three pictures, sentences of the first page."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dropout_uncertainty.data_efficiency.plant.cost import SOLVED_BELOW
+from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
+from dropout_uncertainty.exploration.report import analysis as exploration
+from dropout_uncertainty.judging.collect import collect
+from dropout_uncertainty.judging.results import Result, thesis_value
+from dropout_uncertainty.page import landing
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def results():
+    return collect()
+
+
+def result(identifier, ours=1.0, low=0.5, high=1.5, seeds=range(10), verdict="replicated"):
+    return Result(identifier, "%", "", 1.0, ours, low, high, list(seeds), "ours", verdict, [])
+
+
+def test_ten_numbers_and_each_has_one_of_the_thesis_beside_it():
+    assert len({headline.id for headline in landing.HEADLINES}) == 10
+    for headline in landing.HEADLINES:
+        assert thesis_value(headline.id) is not None
+        assert (ROOT / "notebooks" / f"{landing.CHAPTERS[headline.section]}.ipynb").exists()
+
+
+def test_every_number_that_has_records_is_found(results):
+    """An id that nobody computes any more would read "no records yet" for ever."""
+    _, rows = landing.numbers(results)
+    computed = {r.id for r in results}
+    assert {h.id for h in landing.HEADLINES if h.section != "5.4"} <= computed
+    assert [row[3] == "no records yet" for row in rows] == [h.id not in computed for h in landing.HEADLINES]
+
+
+def test_what_is_missing_or_was_not_reached_is_said():
+    some = [
+        result("table-5.1/random", 4.5678, 4.0, 5.0),
+        result("table-5.1/dropout/bald", 1.9, None, None, [0], "undecided"),
+        result("table-5.2/random", None, 80.0, None, range(5), None),
+        result("figure-5.4/thompson/first-crossing", 32.0, 24.0, None),
+    ]
+    rows = {h.id: row[2:] for h, row in zip(landing.HEADLINES, landing.numbers(some)[1], strict=True)}
+    assert rows["table-5.1/random"] == ["4.57", "4.57 [4, 5]", "10", "replicated"]
+    assert rows["table-5.1/dropout/bald"] == ["1.72", "1.9", "1", "undecided"]
+    assert rows["table-5.2/random"] == ["90", "not reached", "5", "undecided"]
+    assert rows["figure-5.4/thompson/first-crossing"] == ["25", "32 [24, …]", "10", "replicated"]
+    assert rows["figure-5.7/pilco/trials-to-solve"] == ["6.5", "no records yet", "0", "undecided"]
+
+
+def test_the_tally_counts_claims_only():
+    some = [result("claim/AL1"), result("claim/AL2", verdict="undecided"), result("table-5.1/random")]
+    assert landing.tally(some) == "Of 2 claims of the chapter: 1 replicated, 1 undecided."
+
+
+# --- files that are written from the records, and must be written again when these change
+
+
+REMEDY = "the records have changed: run `dropout-uncertainty front`"
+
+
+def test_readme_has_the_numbers_of_the_records(results):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert text == landing.readme(text, results), REMEDY
+
+
+def test_a_readme_without_the_marks_is_refused():
+    with pytest.raises(ValueError, match="the README must hold the lines"):
+        landing.readme("# A title", [])
+
+
+@pytest.mark.parametrize("name", landing.PICTURES)
+def test_picture_is_small_and_from_records_that_are_there(name):
+    svg = (ROOT / landing.FOLDER / f"{name}.svg").read_text(encoding="utf-8")
+    assert len(svg) < 50_000
+    assert "prefers-reduced-motion" in svg
+    assert not re.search(r"<script|(?:href|src)=\"(?!data:)|@import|url\(", svg), "a picture must need nothing else"
+    drawn = landing.PICTURES[name](None)
+    if drawn is not None:
+        assert _origin(svg) == _origin(drawn), REMEDY
+
+
+def _origin(svg):
+    return re.search(r"<desc>(Made from .*)</desc>", svg)[1]
+
+
+def test_digits_are_the_last_ones_asked_for():
+    assert landing.digits() is not None
+    assert "active_learning/ours/dropout/bald/000.npz" in landing.digits()
+
+
+def test_without_records_there_is_nothing_to_draw(tmp_path):
+    assert [draw(tmp_path) for draw in landing.PICTURES.values()] == [None, None, None]
+
+
+# --- sentences of the first page; where one of these fails, the page must be read again
+
+
+@pytest.fixture(scope="module")
+def facts():
+    return landing.facts()
+
+
+def number(text):
+    return float(text.split()[0].replace("−", "-"))
+
+
+def interval(text):
+    return [float(end) for end in re.search(r"\[(.*), (.*)\]", text.replace("−", "-")).groups()]
+
+
+def test_the_first_page_uses_every_fact_and_no_other(facts):
+    page = (ROOT / "book" / "index.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"{glue:text}`scoreboard\.ipynb::(\w+):s`", page)) == sorted(facts)
+
+
+def test_no_fact_is_without_records(facts, tmp_path):
+    assert "–" not in facts.values()
+    nothing = landing.facts(tmp_path)
+    assert {name for name, fact in nothing.items() if fact != "–"} == {"cells_minimum", "cells_last"}  # of the original
+
+
+def test_the_two_rows_that_could_not_choose(facts):
+    assert facts["tied"] == "100%"
+
+
+def test_the_entropy_of_one_pass_keeps_up_with_that_of_weight_draws(facts):
+    for name in ("entropy_early", "entropy_end"):
+        low, high = interval(facts[name])
+        assert low < 0 < high
+
+
+def test_the_setting_of_its_script_holds_the_entropy_of_one_pass_back(facts):
+    assert interval(facts["entropy_steps_recorded"])[0] > interval(facts["entropy_steps"])[1]
+    low, high = interval(facts["entropy_steps_draws"])
+    assert low <= number(facts["entropy_steps"]) <= high
+
+
+def test_the_printed_errors_are_lowest_points(facts):
+    assert facts["cells_minimum"] == "7 of 7"
+    assert number(facts["cells_last"]) < 7
+
+
+def test_who_never_explores_is_ahead_of_thompson_sampling_early_and_late(facts):
+    assert interval(facts["greedy_early"])[0] > 0
+    assert interval(facts["greedy_late"])[0] > 0
+    ours = exploration.load("ours")
+    for first, last in exploration.BLOCKS:
+        assert ours["greedy"].mean(first, last).mean() > ours["thompson"].mean(first, last).mean()
+
+
+def test_thompson_sampling_departs_from_its_best_guess_to_the_end_and_the_texts_dropout_costs_reward(facts):
+    assert int(facts["departs"].rstrip("%")) > 5
+    assert number(facts["dropout_of_text"]) < number(facts["dropout_of_program"]) - 0.05
+
+
+def test_deep_pilco_as_written_swings_the_pole_up_but_only_just(facts):
+    solved = [number(facts[name]) / float(facts[name].split()[-1]) for name in ("solved_as_written", "solved_ours")]
+    later = [int(facts[name].rstrip("%")) for name in ("later_as_written", "later_ours")]
+    assert solved[0] > 0.5
+    assert 40 < later[0] < 60
+    assert solved[1] > 0.9 < later[1] / 100
+
+
+def test_the_model_of_deep_pilco_as_written_is_right_and_its_controller_slow():  # said in section 5.4
+    written, ours = (data_efficiency.load(f"deep-pilco-{name}") for name in ("as-written", "ours"))
+    for learning in (written, ours):
+        later = learning.later
+        assert abs(learning.predicted_costs[later].mean() - learning.trial_costs[later].mean()) < 0.02
+    up = [np.median((x.costs[x.later & x.solved] < SOLVED_BELOW).argmax(-1)) for x in (written, ours)]
+    assert up[0] > 1.5 * up[1]
+    assert written.trial_costs[:, 31:].mean() < written.trial_costs[:, 21:31].mean() - 0.02  # it still learns
+    assert written.trial_costs[written.later].mean() > ours.trial_costs[ours.later].mean() + 0.2
+
+
+def test_holding_the_draw_does_nothing_once_moments_are_matched(facts):
+    assert interval(facts["held_free"])[0] > 1.5
+    low, high = interval(facts["held_matched"])
+    assert 0.95 < low < 1 < high < 1.05
+
+
+def test_a_learner_without_doubt_is_about_as_quick_and_pays_more(facts):
+    low, high = interval(facts["no_dropout_trials"])
+    assert low < 0 < high
+    assert interval(facts["no_dropout_cost"])[0] > 0
+
+
+def test_doubtful_states_gain_weight(facts):
+    assert interval(facts["doubt"])[0] > 0

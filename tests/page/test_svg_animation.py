@@ -1,0 +1,136 @@
+"""The animation: what the page holds, and in a browser that it plays."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import pytest
+from bs4 import BeautifulSoup
+
+from dropout_uncertainty.page.svg_animation import Player, circle, line, polygon, text
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+def ball(frame):
+    return [
+        circle(10 * frame, 20.04, 5, fill="red" if frame < 2 else "none"),
+        line(0, 50, 100, 50 + frame, stroke_dasharray="4 2"),
+        text(0, 10, f"<{frame}>"),
+    ]
+
+
+@pytest.fixture
+def player():
+    frames = [ball(frame) for frame in range(4)]
+    labels = [f"frame {number} </script>" for number in range(4)]
+    wall = polygon([(0, 0), (100, 0), (50.26, 9)], fill="currentColor")
+    return Player(frames, (100, 60), "a ball & a line", labels, background=[wall], rate=20)
+
+
+def test_changes_lead_from_frame_to_frame(player):
+    first, *later = player.changes()
+    assert first[0] == {"cx": 0, "cy": 20, "r": 5, "fill": "red", "": ""}
+    assert later[0] == {0: {"cx": 10}, 1: {"y2": 51}, 2: {"": "<1>"}}
+    assert later[1][0] == {"cx": 20, "fill": "none"}
+    state = {}
+    for frame, changes in zip(player.frames, player.changes(), strict=True):
+        for number, values in changes.items():
+            state[number] = state.get(number, {}) | values
+        assert [state[number] for number in range(3)] == [
+            dict(shape.attributes) | {"": shape.content} for shape in frame
+        ]
+
+
+def test_without_scripts_the_page_shows_the_first_frame_and_no_controls(player):
+    page = BeautifulSoup(player._repr_html_(), "html.parser")
+    svg = page.find("svg")
+    assert svg["aria-label"] == "a ball & a line"
+    assert svg["viewbox"] == "0 0 100 60"
+    assert svg.find("circle")["cx"] == "0"
+    assert svg.find("text").string == "<0>"
+    assert svg.find("polygon")["points"] == "0,0 100,0 50.3,9"
+    assert page.find(class_="controls").has_attr("hidden")
+    assert page.find("figcaption").string.startswith("frame 0")
+    assert all(field.get("aria-label") or field.find_parent("label") for field in page.find_all(["input", "select"]))
+
+
+def test_page_needs_nothing_from_elsewhere_and_data_cannot_end_the_script(player):
+    html = player._repr_html_()
+    assert "http" not in html
+    assert len(re.findall("</script", html)) == 1
+    data = BeautifulSoup(html, "html.parser").find("script").string.split("parentElement, ...")[1].removesuffix(")")
+    assert json.loads(data)[1][0] == "frame 0 </script>"
+    assert "prefers-reduced-motion" in html
+
+
+def test_misuse_is_named():
+    with pytest.raises(ValueError, match="at least one frame"):
+        Player([], (1, 1), "nothing", [])
+    with pytest.raises(ValueError, match="got 1 for 2 frames"):
+        Player([ball(0), ball(1)], (1, 1), "a ball", ["one"])
+    with pytest.raises(ValueError, match="frame 1 differs"):
+        Player([ball(0), ball(1)[::-1]], (1, 1), "a ball", ["one", "two"])
+    with pytest.raises(ValueError, match="frame 1 differs"):
+        Player([[circle(0, 0, 1)], [circle(0, 0, 1, fill="red")]], (1, 1), "a ball", ["one", "two"])
+
+
+#: What a reader would do, and what is to be seen after it; the page's title reports the first difference.
+READER = """<script>
+const find = (selector) => document.querySelector(selector);
+const seen = () => [find("circle").getAttribute("cx"), find("text").textContent, find("figcaption").textContent[6],
+                    find("input").value, find(".play").textContent].join();
+const differences = [];
+const expect = (what, value) => { if (seen() !== value) differences.push(`${what}: ${seen()} not ${value}`); };
+expect("start", "0,<0>,0,0,Play");
+find(".step").click(); find(".step").click();
+expect("two steps", "20,<2>,2,2,Play");
+if (find("circle").getAttribute("fill") !== "none") differences.push("fill");
+find(".back").click();
+expect("one back", "10,<1>,1,1,Play");
+if (find("circle").getAttribute("fill") !== "red") differences.push("fill not restored");
+find("input").value = 3; find("input").dispatchEvent(new Event("input"));
+expect("slider", "30,<3>,3,3,Play");
+find(".step").click();
+expect("step past the end", "30,<3>,3,3,Play");
+find(".play").click();
+expect("from the start again", "0,<0>,0,0,Pause");
+find(".play").click();
+expect("paused", "0,<0>,0,0,Play");
+find("select").value = "4"; find(".play").click();
+setTimeout(() => { expect("played to its end", "30,<3>,3,3,Play");
+                   document.title = differences.join("; ") || "as expected"; }, 1000);
+</script>"""
+
+
+#: Reports all the time how far the animation has got by itself; when a browser looks what is in view is its own affair.
+WAIT = """<script>setInterval(() => { document.title = document.querySelector("input").value; }, 100)</script>"""
+
+
+@pytest.fixture
+def title(player, tmp_path):
+    """Return a function that shows the player and a script in a browser and returns the title of the page."""
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium")
+    page = tmp_path / "page.html"
+
+    def show(script, *options):
+        page.write_text(f'<!doctype html><meta charset="utf-8">{player._repr_html_()}{script}', encoding="utf-8")
+        command = [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}",
+            "--virtual-time-budget=20000", "--dump-dom", *options, page.as_uri(),
+        ]  # fmt: skip
+        outcome = subprocess.run(command, capture_output=True, text=True, timeout=180, check=True)
+        return BeautifulSoup(outcome.stdout, "html.parser").title.string
+
+    return show
+
+
+def test_in_a_browser_it_plays_steps_and_goes_back(title):
+    assert title(READER, "--force-prefers-reduced-motion") == "as expected"
+
+
+def test_starts_by_itself_but_for_readers_who_want_less_motion(title):
+    assert title(WAIT) == "3"
+    assert title(WAIT, "--force-prefers-reduced-motion") == "0"
