@@ -132,11 +132,14 @@ class Agent:
         self.sea.reset()
         found = np.zeros(len(self.seeds), dtype=bool)
         follows = self.follows[number]
-        draw = self.draws.at(number) if self.held == "episode" else None  # one draw for all moves of the episode
+        per_episode = self.held == "episode"
+        draw = self.draws.at(number if per_episode else number * self.size)  # the first draw, held for the episode ...
         while not self.sea.over:
             step = number * self.size + self.sea.row
             visit(self.sea.cell)
-            q = self._learn(step, draw if self.held == "episode" else self.draws.at(step))
+            if not per_episode:
+                draw = self.draws.at(step)  # ... or for this move alone
+            q = self._learn(step, draw)
             action = self._act(q, follows, step)
             found |= self._move(action, step)
         return found
@@ -172,7 +175,8 @@ class Agent:
         if self.memory.stored < self.batch:
             present = tuple(mask if mask is None else mask[:, -1:] for mask in masks)
             q = self.network.forward(cells, present)[-1]
-            return (q if self.prior is None else q + self._prior(cells))[:, 0].cpu().numpy()
+            prior = self._prior(cells)
+            return (q if prior is None else q + prior)[:, 0].cpu().numpy()
         rows = self.memory.read(self.rows[step])
         cells = torch.cat((rows[..., 0].long(), cells), 1)
         after = rows[:, self.batch :]
@@ -193,9 +197,9 @@ class Agent:
 
     def restore(self, state: dict, replicas: Int[np.ndarray, " r"] | None = None) -> None:
         """Continue from ``state()``; ``replicas``: from that of some replicas of a larger company."""
-        learners = slice(None)
-        if replicas is not None:
-            learners = (replicas[:, None] * self.members + np.arange(self.members)).reshape(-1)
+        if replicas is None:
+            replicas = np.arange(len(self.seeds))
+        learners = (replicas[:, None] * self.members + np.arange(self.members)).reshape(-1)
         self.network.parameters.copy_(state["parameters"][learners])
         memory = {name: value if name == "stored" else value[learners] for name, value in state["memory"].items()}
         self.memory.restore(memory)

@@ -4,8 +4,8 @@ A run that ends without a solution is censored at its last episode, not dropped:
 Kaplan and Meier.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,15 @@ from jaxtyping import Bool, Float
 from scipy import stats as scipy_stats
 from scipy.optimize import minimize
 
-from dropout_uncertainty.exploration.deep_sea.experiment import AGENTS, CONFIGS, EXPERIMENT, REGRET
+from dropout_uncertainty.exploration.deep_sea.experiment import AGENTS, CONFIGS, EXPERIMENT, REGRET, start
 from dropout_uncertainty.judging.results import Result, measured
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import CONFIDENCE, Estimate, Interval, bootstrap_interval, difference_of_shares
 
 __all__ = [
-    "GROWTH", "HORIZON", "LABELS", "Dives", "difference", "growth", "load", "results", "score", "solved_episode",
-    "table",
+    "GROWTH", "HORIZON", "LABELS", "Dives", "difference", "growth", "live", "load", "results", "score",
+    "solved_episode", "table",
 ]  # fmt: skip
 
 LABELS = {
@@ -127,13 +127,28 @@ def load(folder: Path | None = None, *, published: bool = True) -> dict[tuple[st
 
 def from_records(name: str, mine: list[Record]) -> Dives:
     """Return the dives of one config whose units are in several records."""
-    config = CONFIGS[name]
     arrays = {key: np.concatenate([r.arrays[key] for r in mine]) for key in ("found", "episodes", "first_visit")}
-    return Dives(
-        agent=name.split("/")[-2], size=config.size, seeds=tuple(seed for r in mine for seed in r.seeds),
-        solved=solved_episode(arrays["found"]), last=arrays["episodes"].astype(float),
-        first_visit=arrays["first_visit"], records=tuple(mine),
-    )  # fmt: skip
+    seeds = tuple(seed for r in mine for seed in r.seeds)
+    return from_arrays(name.split("/")[-2], CONFIGS[name].size, arrays, seeds, tuple(mine))
+
+
+def from_arrays(
+    agent: str, size: int, arrays: Mapping[str, np.ndarray], seeds: tuple[int, ...], found: tuple[Record, ...] = ()
+) -> Dives:
+    """Return the dives of a run, from the arrays that ``experiment.Diving.result`` gives."""
+    solved, last = solved_episode(arrays["found"]), arrays["episodes"].astype(float)
+    return Dives(agent, size, seeds, solved, last, arrays["first_visit"], found)
+
+
+def live(size: int, *, seeds: Sequence[int], episodes: int) -> dict[tuple[str, int], Dives]:
+    """Return dives of all agents, computed now."""
+    dives = {}
+    for agent in AGENTS:
+        process = start(replace(CONFIGS[f"deep-sea/{agent}/{size}"], episodes=episodes), seeds)
+        while process.done < process.total:
+            process.advance()
+        dives[agent, size] = from_arrays(agent, size, process.result(), tuple(seeds))
+    return dives
 
 
 def difference(first: Dives, second: Dives, episodes: int = HORIZON) -> Estimate:
@@ -148,7 +163,10 @@ def score(dives: Mapping[tuple[str, int], Dives], agent: str) -> Interval:
 
 
 #: How episodes to solve may grow with N: as 2^(kN) or as N^k.
-GROWTH = {"exponential": lambda size: np.log(2.0) * size, "power": np.log}
+GROWTH: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "exponential": lambda size: np.log(2.0) * size,
+    "power": lambda size: np.log(size),
+}
 
 
 def growth(dives: Mapping[tuple[str, int], Dives], agent: str, form: str) -> Interval:
