@@ -53,6 +53,7 @@ def test_shares_are_compared_and_scored():
     assert cells[0][:3] == ["No exploration", None, "3 of 4, 355"]
 
 
+@pytest.mark.slow  # two thousand fits
 def test_growth_is_found_again_and_needs_no_solution_everywhere():
     noise = np.random.default_rng(100)
     known = {}

@@ -194,7 +194,7 @@ def censored_slope(x: np.ndarray, y: np.ndarray, exact: np.ndarray) -> float:
         z = (y - theta[0] - theta[1] * (x - centre)) / np.exp(theta[2])
         return -float((scipy_stats.norm.logpdf(z[exact]) - theta[2]).sum() + scipy_stats.norm.logsf(z[~exact]).sum())
 
-    return float(minimize(loss, [y.mean(), 0.0, 0.0], method="Nelder-Mead").x[1])
+    return float(minimize(loss, [y.mean(), 0.0, 0.0], method="L-BFGS-B").x[1])
 
 
 def results(folder: Path | None = None) -> list[Result]:
