@@ -26,7 +26,10 @@ __all__ = ["EXPERIMENTS", "app", "main"]
 #: Experiments by name, and the modules that hold their configs and units.
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "active_learning": ("dropout_uncertainty.active_learning.experiment",),
-    "exploration": ("dropout_uncertainty.exploration.experiment",),
+    "exploration": (
+        "dropout_uncertainty.exploration.experiment",
+        "dropout_uncertainty.exploration.deep_sea.experiment",
+    ),
     "data_efficiency": ("dropout_uncertainty.data_efficiency.configs",),
 }
 #: Seeds of one command.
