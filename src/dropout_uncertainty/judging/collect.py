@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 from dropout_uncertainty.active_learning.report import analysis as active_learning
+from dropout_uncertainty.active_learning.report import pools
 from dropout_uncertainty.active_learning.report.statements import CLAIMS as ACTIVE_LEARNING
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as what_matters
 from dropout_uncertainty.data_efficiency.ablations.report.statements import CLAIMS as WHAT_MATTERS
@@ -36,6 +37,6 @@ def collect(folder: Path | None = None) -> list[Result]:
     Raises:
         RecordError: if a record cannot be trusted.
     """
-    sections = (active_learning, exploration, two_by_two, deep_sea, data_efficiency, what_matters)
+    sections = (active_learning, pools, exploration, two_by_two, deep_sea, data_efficiency, what_matters)
     numbers = [number for section in sections for number in section.results(folder)]
     return numbers + [claim.judge(folder).result() for claim in CLAIMS.values()]
