@@ -1,10 +1,12 @@
 """Time of one acquisition round of section 5.2 by part, and of scoring beside baal and batchbald_redux.
 
-``python benchmarks/active_learning.py [--precision bfloat16]``. The peers are timed if they are installed (extra
-``bench``) and left out otherwise. CPU seconds of one thread; memory is the peak of the process.
+``python benchmarks/active_learning.py [--precision bfloat16] [--points 2000]``. The peers (extra ``bench``) are timed
+if they work; a line says why one does not. They need a torchvision built for the same torch: the one of PyPI belongs to
+the torch of PyPI and fails beside a CPU build. CPU seconds of one thread; memory is the peak of the process.
 """
 
 import argparse
+import importlib.metadata
 import resource
 import time
 import warnings
@@ -16,7 +18,7 @@ from dropout_uncertainty.active_learning.experiment import CONFIGS, CNNLearner
 from dropout_uncertainty.active_learning.network import BayesianCNN
 from dropout_uncertainty.runs.records import provenance
 
-POINTS, DRAWS = 2_000, 100
+DRAWS = 100
 
 
 def seconds(work, repeats=3):
@@ -40,18 +42,12 @@ def torch_network(consistent=nn.Dropout):
 
 def with_baal(images):
     from baal.bayesian.dropout import patch_module
-    from baal.modelwrapper import ModelWrapper
+    from baal.modelwrapper import ModelWrapper, TrainingArgs
 
     data = torch.utils.data.TensorDataset(images[:, None], torch.zeros(len(images)))
-    try:  # the signature changed between major versions
-        wrapper = ModelWrapper(patch_module(torch_network()), nn.CrossEntropyLoss())
-        options = {"batch_size": 128, "iterations": DRAWS, "use_cuda": False, "verbose": False}
-    except TypeError:
-        from baal.modelwrapper import TrainingArgs
-
-        wrapper = ModelWrapper(patch_module(torch_network()), TrainingArgs(batch_size=128, use_cuda=False))
-        return lambda: wrapper.predict_on_dataset(data, iterations=DRAWS)
-    return lambda: wrapper.predict_on_dataset(data, **options)
+    # No worker processes, whose CPU time would not be counted.
+    wrapper = ModelWrapper(patch_module(torch_network()), TrainingArgs(batch_size=128, use_cuda=False, workers=0))
+    return lambda: wrapper.predict_on_dataset(data, iterations=DRAWS, verbose=False)
 
 
 def with_batchbald(images):
@@ -74,10 +70,21 @@ def with_batchbald(images):
     return score
 
 
+def beside(name, make, images, ours):
+    """Return a line on the time of a peer, or on why there is none."""
+    try:
+        peer = seconds(make(images), 1)
+    except Exception as error:  # whatever it is, the others are still to be timed
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else "no message"
+        return f"{name}: {type(error).__name__}: {reason}; pip install -e '.[bench]' installs a set that works"
+    return f"{name} {importlib.metadata.version(name)}, float32: {peer:.1f} s, {peer / ours:.0f} times ours"
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--precision", default="bfloat16")
-    precision = parser.parse_args().precision
+    parser.add_argument("--points", type=int, default=2_000)
+    precision, points = (options := parser.parse_args()).precision, options.points
     torch.set_num_threads(1)
     learner = CNNLearner(CONFIGS["ours/dropout/bald"], [100], precision=precision)
     print(f"{provenance()['processor']}, one thread, {precision}")
@@ -87,20 +94,15 @@ def main():
         each = 1e3 * cost[labels] / labels / 50
         print(f"training on {labels} labels, 50 epochs: {cost[labels]:.2f} s, {each:.3f} ms an image")
     test = seconds(learner.test_error)
-    candidates = torch.arange(10_000, 10_000 + POINTS)[None]
+    candidates = torch.arange(10_000, 10_000 + points)[None]
     ours = seconds(lambda: learner.log_probs(candidates, DRAWS))
     print(f"test error on 10,000 images: {test:.2f} s")
-    print(f"scoring {POINTS} points x {DRAWS} draws: {ours:.2f} s")
-    run = sum(cost[400] / 400 * labels for labels in range(20, 1001, 10)) + 99 * test + 98 * ours
+    print(f"scoring {points} points x {DRAWS} draws: {ours:.2f} s")
+    run = sum(cost[400] / 400 * labels for labels in range(20, 1001, 10)) + 99 * test + 98 * ours * 2_000 / points
     print(f"a run of 98 rounds, from these: {run / 60:.1f} min")
     images = learner.images[candidates[0]]
     for name, make in (("baal", with_baal), ("batchbald_redux", with_batchbald)):
-        try:
-            peer = seconds(make(images), 1)
-        except ImportError as error:
-            print(f"{name}: not installed ({error.name}); pip install -e '.[bench]'")
-            continue
-        print(f"{name}, float32: {peer:.1f} s, {peer / ours:.0f} times ours")
+        print(beside(name, make, images, ours))
     print(f"parameters: {sum(p.numel() for p in BayesianCNN([100]).parameters()):,}")
     print(f"peak resident memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
 

@@ -4,10 +4,13 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from dropout_uncertainty import cli
 from dropout_uncertainty.errors import UserError
+from dropout_uncertainty.runs import records
 
 
 def command(*arguments, **options):
@@ -28,6 +31,9 @@ def command(*arguments, **options):
         (["run", "active-learning", "--config", "ours", "--seeds", "4-0"], "seeds are given like"),
         (["run", "active-learning", "--config", "ours", "--seeds", "0", "--device", "tpu"], "unknown device 'tpu'"),
         (["run", "active-learning", "--config", "ours", "--seeds", "0", "--precision", "half"], "unknown precision"),
+        (["run", "exploration", "--config", "wide", "--seeds", "100", "--precision", "bfloat16"], "float32 or float64"),
+        (["run", "data-efficiency", "--config", "pilco-paper", "--seeds", "100", "--precision", "float32"], "runs in"),
+        (["run", "exploration", "--config", "wide", "--seeds", "0-99999999999"], "at most 100,000 seeds"),
         (["book", "--profile", "fast"], "unknown profile 'fast'"),
     ],
 )
@@ -60,6 +66,42 @@ def test_a_broken_record_is_named(tmp_path):
         outcome = command(*arguments, env=environment)
         assert outcome.returncode == status
         assert "000.npz cannot be read" in outcome.stderr
+
+
+def test_a_bug_shows_where_it_is(monkeypatch):
+    def broken():
+        raise ValueError("a bug")
+
+    monkeypatch.setattr(cli, "app", broken)
+    with pytest.raises(ValueError, match="a bug"):
+        cli.main()
+
+
+def test_records_without_provenance_are_listed(tmp_path, monkeypatch):
+    header = {
+        "experiment": "toy", "name": "walk", "seeds": [100], "config": {}, "config_hash": records.config_hash({}),
+        "device": "cpu", "precision": "float32", "provenance": {},
+    }  # fmt: skip
+    path = records.write(tmp_path / "toy" / "walk" / "100.npz", {"x": np.zeros(1)}, header).path
+    path.with_name("100 (copy).npz").write_bytes(path.read_bytes())
+    monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(tmp_path))
+    listed = CliRunner().invoke(cli.app, ["records", "list"], catch_exceptions=False)
+    assert "toy/walk/100.npz  time unknown  unknown  unknown" in listed.output
+    verified = CliRunner().invoke(cli.app, ["records", "verify"])
+    assert verified.exit_code == 1
+    assert "1 of 2 records are intact" in verified.output
+    assert "give it back its name, or delete it if a copy" in verified.output
+
+
+def test_another_precision_is_computed_beside_a_record(tmp_path, monkeypatch):
+    monkeypatch.setitem(cli.EXPERIMENTS, "toy", ("toy",))
+    monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(tmp_path))
+    run = ["run", "toy", "--config", "walk", "--seeds", "100-101"]
+    names = []
+    for options in ([], ["--precision", "float64"], ["--precision", "float64"], []):
+        outcome = CliRunner().invoke(cli.app, [*run, *options], catch_exceptions=False)
+        names.append("nothing" if "Nothing to do" in outcome.output else outcome.output.split("/")[-1].strip())
+    assert names == ["100-101.npz", "100-101.float64.npz", "nothing", "nothing"]
 
 
 def test_seed_lists():

@@ -38,6 +38,25 @@ def test_exactly_one_cell_holds_the_parameters(path):
 
 
 @every_notebook
+def test_the_profile_is_checked_before_any_work(path):
+    """A cell with nothing but imports may come before, and in the cell itself nothing but imports."""
+    cells = [cell.source for cell in code_cells(path) if "parameters" not in cell.metadata.get("tags", [])]
+    lines = ast.parse("\n".join(cells[:2])).body
+    done = [ast.unparse(line) for line in lines if not isinstance(line, ast.Import | ast.ImportFrom)]
+    assert done[0] == "profiles.check(profile)"
+
+
+def test_a_wrong_profile_is_one_sentence_in_a_notebook(tmp_path):
+    path = ROOT / "notebooks" / "weight_draws.ipynb"
+    with pytest.raises(papermill.PapermillExecutionError) as caught:
+        papermill.execute_notebook(
+            path, tmp_path / path.name, {"profile": "Quick"}, cwd=path.parent, progress_bar=False
+        )
+    assert caught.value.ename == "UserError"
+    assert caught.value.traceback == ["UserError: unknown profile 'Quick', choose one of recorded, quick, full"]
+
+
+@every_notebook
 def test_cells_are_short(path):
     long = [cell.source.splitlines()[0] for cell in code_cells(path) if len(cell.source.splitlines()) > LONGEST_CELL]
     assert not long, f"cells of more than {LONGEST_CELL} lines: move the work to src/ ({long})"

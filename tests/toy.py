@@ -7,7 +7,7 @@ import torch
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.runs import execute
-from dropout_uncertainty.runs.execute import Unit
+from dropout_uncertainty.runs.unit import Unit
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,22 @@ def start(config, seeds, *, device="cpu", precision="float64"):
 CONFIGS = {"walk": Walk(), "long": Walk(steps=50)}
 
 
-def units(name, seeds, *, device="cpu"):
-    return [Unit("toy", name, start, CONFIGS[name], tuple(seeds), device)]
+def units(name, seeds, *, device="cpu", precision=None):
+    return [Unit("toy", name, start, CONFIGS[name], tuple(seeds), device, precision or "float32", "float32")]
 
 
 def unit(**config):
     return Unit("toy", "walk", start, Walk(**config), (100, 101))
+
+
+def one_by_one(name, seeds, *, device="cpu"):
+    """Return a unit for each seed, with a checkpoint after every step wherever it is computed."""
+    return [Unit("toy", name, start_often, CONFIGS[name], (seed,), device) for seed in seeds]
+
+
+def start_often(config, seeds, **options):
+    checkpoint_often()
+    return start(config, seeds, **options)
 
 
 def checkpoint_often():

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dropout_uncertainty import __version__, folders, stopping
 from dropout_uncertainty.errors import UserError
 
 if TYPE_CHECKING:  # PyTorch takes seconds to import, which `--help` need not wait for
-    from dropout_uncertainty.runs.execute import Unit
+    from dropout_uncertainty.runs.unit import Unit
 
 __all__ = ["EXPERIMENTS", "app", "main"]
 
@@ -32,13 +33,26 @@ EXPERIMENTS: dict[str, tuple[str, ...]] = {
 MOST_SEEDS = 100_000
 
 app = typer.Typer(
-    help="Dropout uncertainty in action: make the book, run the experiments, look at the records.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 record_commands = typer.Typer(help="List and verify the stored records.", no_args_is_help=True)
 app.add_typer(record_commands, name="records")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="print it")
+    ] = False,
+) -> None:
+    """Dropout uncertainty in action: make the book, run the experiments, look at the records."""
 
 
 @app.command()
@@ -83,23 +97,25 @@ def run(
     scheduler: Annotated[str | None, typer.Option(help="of a Dask cluster to use, such as tcp://host:8786")] = None,
 ) -> None:
     """Compute the missing records of an experiment; a run that was stopped continues where it was."""
-    from dropout_uncertainty.runs import execute, records
+    from dropout_uncertainty.runs import execute, executors, records
+    from dropout_uncertainty.runs.unit import PRECISIONS, check_device
 
+    folders.create(records.root())
     any_device = device == "auto"
     if scheduler is not None:
         if workers > 1:
             raise UserError("--workers are processes of this machine, --scheduler has workers of its own: choose one")
         device = known({"auto": "cpu"}.get(device, device), ("cpu", "cuda"), "device")  # of the cluster's workers
-    options: dict[str, Any] = {"device": execute.check_device(device) if scheduler is None else device}
+    options: dict[str, Any] = {"device": check_device(device) if scheduler is None else device}
     if precision is not None:
-        options["precision"] = known(precision, execute.PRECISIONS, "precision")
+        options["precision"] = known(precision, PRECISIONS, "precision")
     # what was computed on the other device type counts, unless one is asked for
     like = options | ({"device": None} if any_device else {})
     experiment = known(experiment.replace("-", "_"), EXPERIMENTS, "experiment")
     modules = config_modules(experiment)
     names, numbers = config_names(config, modules), seed_list(seeds)
 
-    def missing(name: str) -> list[execute.Unit]:
+    def missing(name: str) -> list[Unit]:
         left = records.missing_seeds(experiment, name, modules[name].CONFIGS[name], numbers, **like)
         return modules[name].units(name, left, **options) if left else []
 
@@ -110,9 +126,9 @@ def run(
         typer.echo("Nothing to do: these repetitions have their records.")
     context: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
     if scheduler is not None:
-        context = execute.cluster(scheduler)
+        context = executors.cluster(scheduler)
     elif workers > 1:
-        context = execute.processes(workers)
+        context = executors.processes(workers)
     with context as executor:
         for record in execute.run(units, executor=executor):
             typer.echo(record.path)
@@ -144,6 +160,8 @@ def verify_records(
     from dropout_uncertainty.runs import records
 
     found = records.verify()
+    if not found:
+        raise UserError(f"there are no records below {records.root()}")
     problems = [problem for _, problem in found if problem is not None]
     for problem in problems:
         typer.echo(problem, err=True)
@@ -251,6 +269,7 @@ def seed_list(text: str) -> list[int]:
     return list(dict.fromkeys(seeds))
 
 
+@stopping.one_sentence()
 def main() -> None:
     """Run the command line; a mistake of the caller is one sentence and exit status 2, without a traceback."""
     try:

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -71,14 +72,48 @@ def test_probabilities_of_exactly_zero_are_fine(name):
 
 
 def test_bad_predictions_are_refused():
-    with pytest.raises(ValueError, match="NaN"):
-        score("bald", torch.full((2, 3, 4), torch.nan))
-    with pytest.raises(ValueError, match="above 0"):
-        score("bald", torch.full((2, 3, 4), 0.25))
+    broken = torch.full((2, 3, 4), 0.25).log()
+    broken[1, 2, 0] = torch.nan
+    with pytest.raises(ValueError, match="predictions of 1 of 3 points are NaN: has the training diverged"):
+        score("bald", broken)
+    logits = torch.tensor([[[-0.3, -2.0], [-1.0, -5.0]]])
+    for wrong in (broken.exp().nan_to_num(0.25), logits, -torch.ones(2, 3, 1), torch.full((2, 3, 4), -torch.inf)):
+        with pytest.raises(ValueError, match="whose exponentials sum to 1 over the classes, got sums from") as refused:
+            score("bald", wrong)
+        assert "diverged" not in str(refused.value)
+    with pytest.raises(ValueError, match="as real numbers in one array, got a list"):
+        score("bald", [[["a"]]])
     with pytest.raises(ValueError, match=r"\[S, N, C\]"):
         score("bald", torch.zeros(3, 0, 4))
     with pytest.raises(ValueError, match="unknown acquisition function 'entropy', choose one of random"):
         score("entropy", torch.zeros(1, 1, 1))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        lambda x: x.numpy(), lambda x: x.tolist(), lambda x: x.float(), lambda x: x.numpy()[:, ::-1].copy()[:, ::-1],
+        lambda x: x.clone().requires_grad_(), lambda x: x.transpose(0, 2).contiguous().transpose(0, 2),
+    ],
+)  # fmt: skip
+def test_what_holds_the_numbers_does_not_matter(given, random_draws):
+    for name in ACQUISITIONS:
+        torch.testing.assert_close(score(name, given(random_draws)), score(name, random_draws), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "given", [list, np.array, np.float16, torch.tensor, lambda x: torch.tensor(x).requires_grad_()]
+)
+def test_scores_may_be_anything_that_holds_numbers(given):
+    assert select(given([0.25, 0.75, 0.5]), 2, rng.generator(100)).positions.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+@pytest.mark.parametrize("classes", [2, 10, 1000, 30_000])
+def test_rounded_log_probabilities_are_accepted(dtype, classes):
+    logits = torch.randn(2, 5, classes, generator=rng.generator(100)) * torch.tensor([0, 1, 3, 10, 30])[:, None]
+    exact = logits.log_softmax(-1)
+    torch.testing.assert_close(score("max-entropy", exact.to(dtype)), score("max-entropy", exact), rtol=0.05, atol=0.01)
 
 
 def test_select_takes_the_best_and_counts_ties():

@@ -79,6 +79,48 @@ def test_resumed_equals_uninterrupted(process, row):
     assert np.isfinite(whole["mc_error"][0]).tolist() == [True, False, True, False]
 
 
+@pytest.mark.parametrize(
+    ("change", "labels", "warning"),
+    [
+        ({"subset": 2}, [20, 22, 24, 26], "the subset has 2 candidates, asked for 3"),
+        ({"subset": 2, "acquisition": "random"}, [20, 23, 26, 29], None),
+        ({"random_from": 5}, [20, 23, 25], "only 2 points are left in the pool, asked for 3"),
+        ({"random_from": 2, "replacement": True}, [20, 22, 24, 26], "only 2 points are left"),
+        ({"pool": 0}, [20], None),
+    ],
+)
+@pytest.mark.filterwarnings("always")
+def test_a_record_counts_what_was_labelled(process, change, labels, warning, recwarn):
+    config = replace(TINY, **change)
+    whole = finish(process(config))
+    assert whole["labels"].tolist() == labels
+    assert whole["points"].shape == (1, labels[-1])
+    assert whole["error"].shape == (1, len(labels))
+    assert (warning is None) == (not recwarn)
+    assert all(str(given.message).startswith(warning) for given in recwarn)
+    for done in {1, len(labels) - 1}:
+        first, second = process(config), process(config)
+        for _ in range(done):
+            first.advance()
+            assert len(first.pools[0].labelled) == labels[min(first.done, len(labels) - 1)]
+        second.restore(first.state())
+        for name, array in finish(second).items():
+            np.testing.assert_array_equal(array, whole[name], err_msg=name)
+
+
+def test_three_classes_are_counted_as_three(process, digits):
+    few = digits.train_labels < 3
+    data = replace(digits, train_images=digits.train_images[few], train_labels=digits.train_labels[few])
+    first, second = (
+        ActiveLearning(replace(TINY, pool=90), (100,), device="cpu", precision="float32", data=data) for _ in range(2)
+    )
+    first.advance()
+    second.restore(first.state())
+    resumed = finish(second)
+    assert resumed["labels"].tolist() == [6, 9, 12, 15]
+    np.testing.assert_array_equal(resumed["points"], finish(first)["points"])
+
+
 def test_a_tiny_network_learns_twenty_images(digits):
     learner = CNNLearner(replace(TINY, epochs=60, decay=0.1), (100,), data=digits)
     labelled = torch.arange(20)[None]
@@ -131,3 +173,50 @@ def test_the_configs_say_what_they_follow():
 def test_impossible_settings_are_refused(change):
     with pytest.raises(ValueError, match=next(iter(change)).replace("approximation", "approximation|acquisition")):
         replace(TINY, **change)
+
+
+@pytest.mark.parametrize("row", ["ambiguous/ensemble/bald", "repeated/dropout/batch-bald", "irrelevant/dropout/bald"])
+def test_runs_on_noisy_pools_resume(process, row):
+    changes = {"epochs": 2, "draws": 5, "subset": 60, "rounds": 2, "acquired": 4, "pool": 500, "validation": 100}
+    config = replace(CONFIGS[f"pools/{row}"], **changes, members=2)
+    whole = finish(process(config))
+    first = process(config)
+    first.advance()
+    second = process(config)
+    second.restore(first.state())
+    resumed = finish(second)
+    for name, array in whole.items():
+        np.testing.assert_array_equal(array, resumed[name], err_msg=name)
+    assert whole["labels"].tolist() == [20, 24, 28]
+    assert whole["wasted"].shape == (1, 2)
+
+
+def test_an_ensemble_is_tested_by_the_network_that_a_single_run_trains(process):
+    rows = [
+        finish(process(replace(TINY, approximation=a, acquisition="bald", rounds=1))) for a in ("ensemble", "dropout")
+    ]
+    assert rows[0]["error"][0, 0] == rows[1]["error"][0, 0]
+    assert rows[0]["points"].tolist() != rows[1]["points"].tolist()
+    assert not rows[0]["all_tied"].any()  # its members differ
+
+
+def test_irrelevant_points_teach_nothing(process):
+    config = replace(CONFIGS["pools/irrelevant/random"], epochs=2, pool=500, validation=100)
+    learner = process(config).learner
+    labels = learner.labels[0]
+    relevant, irrelevant = (labels >= 0).nonzero().flatten()[:30], (labels < 0).nonzero().flatten()[:10]
+    learner.fit(relevant[None])
+    alone = learner.log_probs(relevant[None], 0)
+    learner.round = -1
+    learner.fit(torch.cat([relevant, irrelevant])[None])
+    assert torch.equal(learner.log_probs(relevant[None], 0), alone)
+
+
+@pytest.mark.parametrize("size", range(20, 321, 10))
+def test_even_minibatches_leave_no_remainder(digits, size):
+    learner = CNNLearner(replace(CONFIGS["pools/clean/random"], epochs=1), (100,), data=digits)
+    parts = list(learner._minibatches(size))
+    sizes = [part.shape[1] for part in parts]
+    assert max(sizes) - min(sizes) <= 1
+    assert max(sizes) <= 128
+    assert torch.cat(parts, 1).sort().values.tolist() == [list(range(size))]

@@ -76,3 +76,5 @@ def test_bad_settings_are_refused():
         BayesianCNN((100,), blocks=3)
     with pytest.raises(ValueError, match="drop probability"):
         BayesianCNN((100,), drop=(1.0, 0.5))
+    with pytest.raises(ValueError, match="nothing is left of 28 pixels"):
+        BayesianCNN((100,), kernel=20)

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 
@@ -60,3 +61,51 @@ def test_points_outside_the_pool_are_refused(pool):
         pool.acquire(torch.tensor([5]))
     with pytest.raises(ValueError, match="disjoint"):
         Pool(torch.tensor([1]), torch.tensor([1, 2]))
+
+
+@pytest.mark.parametrize(
+    "kind", [list, np.array, np.int32, np.uint8, torch.tensor, range, lambda x: torch.tensor(x, dtype=torch.int16)]
+)
+def test_indices_come_as_anything(kind):
+    given = (lambda x: range(x[0], x[-1] + 1)) if kind is range else kind
+    pool = Pool(given([0, 1]), given([2, 3, 4, 5]))
+    pool.acquire(given([3, 4]))
+    assert pool.labelled.tolist() == [0, 1, 3, 4]
+    assert pool.labelled.dtype == torch.int64
+    assert pool.candidates(rng.generator(100)).tolist() == [2, 5]
+
+
+def test_masks_over_the_data_set_are_indices():
+    mask = np.array([True, False, True, False])
+    pool = Pool(mask, ~mask)
+    assert (pool.labelled.tolist(), pool.all.tolist()) == ([0, 2], [1, 3])
+    assert len(Pool([], [1]).labelled) == len(Pool(torch.tensor([]), [1]).labelled) == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([-1], "count from 0, got -1"),
+        ([0.0], "a row of indices or a mask, got a list"),
+        (np.array([[1]]), r"got int64 of shape \[1, 1\]"),
+        (["a"], "real numbers in one array"),
+        ([1, 1], "repeat a point"),
+    ],
+)
+def test_what_is_no_index_is_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        Pool([0], given)
+
+
+def test_labels_that_are_no_class_numbers_are_refused():
+    assert balanced_subset(np.array([1, 0, 1, 0], dtype=np.int8), 1).tolist() == [0, 1]
+    assert balanced_subset([True, False, True], 1).tolist() == [0, 1]
+    for labels in (["a", "b"], [0.0, 1.0], [-1, 0, 1], np.eye(2)):
+        with pytest.raises(ValueError, match="simulate` takes labels of any type"):
+            balanced_subset(labels, 1)
+    with pytest.raises(ValueError, match="at least 1, got 0"):
+        balanced_subset([0, 1], 0)
+    with pytest.raises(ValueError, match="at least 1, got -1"):
+        Pool([0], [1, 2]).candidates(rng.generator(100), -1)
+    with pytest.raises(ValueError, match="do not fit"):
+        split(LABELS, rng.generator(100), source=300, validation=-5, pool=1000)

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from dropout_uncertainty import rng
 from dropout_uncertainty.data_efficiency.plant.cost import SOLVED_BELOW
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.exploration.report import analysis as exploration
@@ -196,39 +194,3 @@ def test_a_learner_without_doubt_is_about_as_quick_and_pays_more(facts):
 
 def test_doubtful_states_gain_weight(facts):
     assert interval(facts["doubt"])[0] > 0
-
-
-# --- what the README promises in five lines each
-
-
-@pytest.fixture
-def snippets():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    found = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    assert len(found) == 3
-    return dict(zip(("loop", "agent", "controller"), found, strict=True))
-
-
-def test_the_readmes_active_learning_loop_acquires(snippets):
-    class Learner:
-        def fit(self, labelled):
-            self.seen = labelled.shape
-
-        def log_probs(self, candidates, draws):
-            shape = 1, draws, candidates.shape[1], 2
-            return torch.rand(shape, generator=rng.generator(100)).log_softmax(-1)
-
-    learner = Learner()
-    names = {"learner": learner, "labelled": torch.arange(4), "unlabelled": torch.arange(4, 60), "rounds": 2}
-    exec(snippets["loop"], names)
-    assert learner.seen == (1, 14)
-    assert len(names["pool"].labelled) == 24
-
-
-def test_the_readmes_agent_and_controller_learn(snippets, capsys):
-    exec(snippets["agent"].replace("20_000", "1_000"), {})
-    small = "trials=1, model_steps=2, policy_steps=2, guard=1.0"
-    exec(snippets["controller"].replace("trials=10", small), {})
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 4
-    assert lines[-1].startswith("cost ")

@@ -15,10 +15,10 @@ import pytest
 import toy
 
 from dropout_uncertainty.runs import execute, records
-from dropout_uncertainty.runs.execute import RunError
 from dropout_uncertainty.runs.records import RecordError
+from dropout_uncertainty.runs.unit import RunError, check_device, precision_dtype
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 
 
 @pytest.fixture
@@ -28,8 +28,8 @@ def every_step(monkeypatch):
 
 def child(folder, body):
     """Start a Python process that works on toy units, with a checkpoint after every step."""
-    code = f"from pathlib import Path; import toy; from dropout_uncertainty import runs; folder = Path({str(folder)!r})"
-    code += f"\nruns.CHECKPOINT_SECONDS = -1.0\n{body}"
+    code = "from pathlib import Path\nimport toy\nfrom dropout_uncertainty.runs import execute"
+    code += f"\nfolder = Path({str(folder)!r})\nexecute.CHECKPOINT_SECONDS = -1.0\n{body}"
     return subprocess.Popen([sys.executable, "-c", code], cwd=HERE, stderr=subprocess.PIPE, text=True)
 
 
@@ -45,7 +45,7 @@ def test_killed_at_any_moment_it_continues_to_the_same_arrays(tmp_path):
     expected = execute.run_unit(toy.unit(seconds=0.02), tmp_path / "whole").header["payload"]
     kills = 0
     for pause in (0.0, 0.1, 0.25, 0.05):
-        process = child(tmp_path / "killed", "runs.run_unit(toy.unit(seconds=0.02), folder)")
+        process = child(tmp_path / "killed", "execute.run_unit(toy.unit(seconds=0.02), folder)")
         deadline = time.monotonic() + 60
         while not list(tmp_path.glob("killed/.partial/*.pt")) and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -90,6 +90,52 @@ def test_a_run_begun_by_code_that_rounds_otherwise_says_so(tmp_path, checkpoint,
     assert execute.run_unit(toy.unit(), tmp_path / "other").header["provenance"]["rounding"] == 2
 
 
+def test_a_resumed_run_names_every_commit_it_ran_under(tmp_path, checkpoint, monkeypatch):
+    before = records.provenance()
+    monkeypatch.setattr(records, "provenance", lambda device="cpu": {**before, "commit": "f" * 40, "dirty": True})
+    origin = execute.run_unit(toy.unit(), tmp_path).header["provenance"]
+    assert [sitting["commit"] for sitting in origin["commits"]] == [before["commit"], "f" * 40]
+    assert (origin["commit"], origin["dirty"], origin["commits"][0]["dirty"]) == ("f" * 40, True, before["dirty"])
+    assert origin["commits"][0]["torch"] == before["torch"]
+    monkeypatch.undo()
+    alone = execute.run_unit(toy.unit(), tmp_path / "other").header
+    assert [sitting["commit"] for sitting in alone["provenance"]["commits"]] == [before["commit"]]
+    assert alone["parents"] == []
+
+
+def test_a_unit_that_shares_a_seed_or_a_name_gets_its_own_record(tmp_path):
+    units = [replace(toy.unit(), seeds=(100, 103)), replace(toy.unit(), seeds=(104, 105, 106, 107))]
+    units.append(replace(units[1], precision="float64", published="float32"))
+    found = execute.run(units, folder=tmp_path, progress=False)
+    assert [record.path.name for record in found] == ["100+103.npz", "104-107.npz", "104-107.float64.npz"]
+    assert [record.seeds for record in found] == [list(unit.seeds) for unit in units]
+    assert [record.header["precision"] for record in found] == ["float32", "float32", "float64"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [({"precision": "float64"}, "another precision than"), ({"config": toy.Walk(steps=41)}, "another config than")],
+)
+def test_the_whole_identity_is_compared(tmp_path, changes, message):
+    execute.run_unit(toy.unit(), tmp_path)
+    with pytest.raises(RunError, match=message):
+        execute.run_unit(replace(toy.unit(), **changes), tmp_path)
+
+
+@pytest.mark.parametrize("seeds", [(), (1, 1), (-1, 0)])
+def test_a_unit_needs_seeds_that_differ(seeds):
+    with pytest.raises(RunError, match="seeds that differ"):
+        replace(toy.unit(), seeds=seeds)
+
+
+def test_a_unit_that_does_not_fit_into_memory_is_refused_before_it_starts(tmp_path, monkeypatch):
+    monkeypatch.setattr(execute, "free_memory", lambda device: 2e9)
+    message = r"toy/walk/100-101 takes about 3\.0 GB of memory for 2 seeds, and 2\.0 GB are free: ask for fewer seeds"
+    with pytest.raises(RunError, match=message):
+        execute.run_unit(replace(toy.unit(), memory=3e9), tmp_path)
+    assert execute.run_unit(replace(toy.unit(), memory=1e9), tmp_path).seeds == [100, 101]
+
+
 def test_a_damaged_checkpoint_means_starting_again(tmp_path, checkpoint):
     checkpoint.write_bytes(checkpoint.read_bytes()[:-20])
     resumed = execute.run_unit(toy.unit(), tmp_path)
@@ -97,7 +143,7 @@ def test_a_damaged_checkpoint_means_starting_again(tmp_path, checkpoint):
 
 
 def test_two_processes_do_not_compute_the_same_unit(tmp_path):
-    process = child(tmp_path, "runs.run_unit(toy.unit(seconds=0.3), folder)")
+    process = child(tmp_path, "execute.run_unit(toy.unit(seconds=0.3), folder)")
     deadline = time.monotonic() + 60
     while not list(tmp_path.glob(".partial/*.pt")) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -109,7 +155,9 @@ def test_two_processes_do_not_compute_the_same_unit(tmp_path):
 
 def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (600, 600))"
-    attempt = "try:\n    runs.run_unit(toy.unit(), folder)\nexcept runs.RecordError as e:\n    raise SystemExit(str(e))"
+    attempt = (
+        "try:\n    execute.run_unit(toy.unit(), folder)\nexcept execute.RecordError as e:\n    raise SystemExit(str(e))"
+    )
     body = f"{limit}\n{attempt}"
     process = child(tmp_path, body)
     _, errors = process.communicate(timeout=60)
@@ -157,14 +205,14 @@ def test_records_made_on_another_disk_are_brought_here(tmp_path):
 
 
 def test_devices_and_precisions():
-    assert execute.check_device("cpu") == "cpu"
+    assert check_device("cpu") == "cpu"
     with pytest.raises(RunError, match="unknown device"):
-        execute.check_device("tpu")
+        check_device("tpu")
     with pytest.raises(RunError, match="unknown precision"):
-        execute.precision_dtype("float16")
+        precision_dtype("float16")
     if not execute.torch.cuda.is_available():
         with pytest.raises(RunError, match="no CUDA GPU"):
-            execute.check_device("cuda")
+            check_device("cuda")
 
 
 def test_the_provenance_says_where_a_record_comes_from():

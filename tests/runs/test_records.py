@@ -1,39 +1,23 @@
 """Records: what is written comes back, and what cannot be trusted is refused with a sentence."""
 
 import io
-import json
+import shutil
 import zipfile
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from stored import ARRAYS, CONFIG, header, rewrite
 
+from dropout_uncertainty import cli
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import RecordError
-
-ARRAYS = {"error": np.arange(6, dtype=np.float32).reshape(2, 3), "points": np.array([[1, 2]], np.int32)}
-CONFIG = {"rounds": 3, "drop": [0.25, 0.5]}
-
-
-def header(**changes):
-    return {
-        "experiment": "toy", "name": "ours/a", "seeds": [100, 101], "config": CONFIG,
-        "config_hash": records.config_hash(CONFIG), "device": "cpu", "precision": "float32",
-        "provenance": {}, **changes,
-    }  # fmt: skip
+from dropout_uncertainty.runs.unit import differing
 
 
 @pytest.fixture
 def path(tmp_path):
     return records.write(tmp_path / "toy" / "ours" / "a" / "100-101.npz", ARRAYS, header()).path
-
-
-def rewrite(path, **changes):
-    """Write the file again with another header, as somebody who edits it by hand would."""
-    with np.load(path) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    changed = json.loads(arrays.pop(records.HEADER).tobytes()) | changes
-    np.savez(path, **{records.HEADER: np.frombuffer(json.dumps(changed).encode(), np.uint8)}, **arrays)
 
 
 def test_what_is_written_comes_back(path, tmp_path):
@@ -76,6 +60,91 @@ def test_seeds_with_a_record_are_not_missing_whatever_their_unit(path, tmp_path)
     assert records.missing_seeds("toy", "ours/a", CONFIG, range(99, 103), tmp_path) == [99, 102]
     assert records.missing_seeds("toy", "ours/a", {"rounds": 4}, (100, 101), tmp_path) == [100, 101]
     assert records.missing_seeds("toy", "ours/b", CONFIG, (100, 101), tmp_path) == [100, 101]
+
+
+def stored(folder, seeds, config=CONFIG, name="ours/a", **changes):
+    """Write a record under the name that its header asks for."""
+    full = header(seeds=list(seeds), name=name, config=config, config_hash=records.config_hash(config), **changes)
+    precision = full["precision"] if full["precision"] != "float32" else None
+    file = f"{records.file_name(seeds, full['device'], precision)}.npz"
+    return records.write(folder / "toy" / name / file, {"x": np.array(seeds, float)}, full)
+
+
+def test_names_of_files_say_which_seeds_precision_and_device():
+    names = {
+        (7,): "007", tuple(range(10)): "000-009", (100, 103): "100+103", (100, 101, 102, 103): "100-103",
+        (0, 1, 2, 5): "000-002+005", (103, 100): "103+100", (1500,): "1500",
+    }  # fmt: skip
+    assert {seeds: records.file_name(seeds, "cpu") for seeds in names} == names
+    assert records.file_name((1, 2), "cuda", "float64") == "001-002.float64.cuda"
+    odd, other = (records.file_name(range(start, 101, 2), "cpu") for start in (1, 3))
+    assert odd.startswith("001-099+")
+    assert len(odd) < records.LONGEST
+    assert records.file_name([*range(1, 90, 2), 92, *range(93, 101, 2)], "cpu") != odd
+    assert other != odd
+
+
+def test_a_copy_or_a_record_in_the_wrong_place_is_refused(path, tmp_path):
+    for copy in (
+        path.with_name("100-101 (copy).npz"), path.with_name("100.npz"), path.with_name("100-101.cuda.npz"),
+        path.parents[1] / "b" / path.name, tmp_path / "toy" / "x" / "toy" / "ours" / "a" / path.name,
+    ):  # fmt: skip
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, copy)
+        with pytest.raises(RecordError, match=r"is the record toy/ours/a/100-101\.npz: give it back its name"):
+            records.find("toy", folder=tmp_path)
+        assert [problem is None for _, problem in sorted(records.verify(tmp_path), key=lambda x: x[0] != path)] == [
+            True, False,
+        ]  # fmt: skip
+        copy.unlink()
+    assert len(records.find("toy", folder=tmp_path)) == 1
+
+
+@pytest.mark.parametrize(
+    ("second", "message"),
+    [
+        ({"seeds": [101]}, "both hold the seeds 101: move one of them"),
+        ({"seeds": [101, 102]}, "both hold the seeds 101"),
+        ({"seeds": [101, 102], "device": "cuda"}, "both hold the seeds 101"),
+        ({"seeds": [102], "config": {"rounds": 4}}, r"configs that differ \(rounds, drop\)"),
+    ],
+)
+def test_no_seed_counts_twice_and_no_two_configs_share_a_name(path, tmp_path, second, message):
+    other = stored(tmp_path, **second).path
+    with pytest.raises(RecordError, match=message) as error:
+        records.find("toy", name="ours/a", folder=tmp_path)
+    assert str(path) in str(error.value)
+    assert str(other) in str(error.value)
+    assert [problem for _, problem in records.verify(tmp_path) if problem] == [str(error.value)]
+
+
+def test_of_two_devices_and_precisions_one_counts(path, tmp_path):
+    """The section's precision; of records that both hold all seeds of one, that of the CPU, or the larger one."""
+    gpu = stored(tmp_path, [100, 101], device="cuda").path
+    exact = stored(tmp_path, [100], precision="float64").path
+
+    def found(**which):
+        return [record.path for record in records.find("toy", folder=tmp_path, **which)]
+
+    assert found() == [path]
+    assert found(device="cuda") == [gpu]
+    assert found(precision="float64") == [exact]
+    stored(tmp_path, [105], device="cuda")
+    many = stored(tmp_path, [104, 105], device="cpu").path
+    assert found() == [path, many]
+    assert [problem for _, problem in records.verify(tmp_path) if problem] == []
+
+
+def test_what_is_missing_depends_on_precision_and_device(path, tmp_path):
+    missing = lambda **which: records.missing_seeds("toy", "ours/a", CONFIG, [100, 102], tmp_path, **which)  # noqa: E731
+    assert missing() == missing(precision="float32") == missing(device="cpu") == [102]
+    assert missing(precision="float64") == missing(device="cuda") == [100, 102]
+
+
+def test_a_record_of_the_first_schema_is_refused_with_a_sentence(path):
+    rewrite(path, schema=1)
+    with pytest.raises(RecordError, match="schema version 1, this program reads 2"):
+        records.read(path)
 
 
 def test_a_record_is_never_replaced(path):
@@ -155,10 +224,17 @@ def test_pickles_are_not_loaded(path):
 def test_a_missing_record_and_an_unwritable_folder(tmp_path):
     with pytest.raises(RecordError, match="there is no record"):
         records.read(tmp_path / "none.npz")
-    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "toy").write_text("in the way")
     with pytest.raises(RecordError, match="cannot write the record"):
-        records.write(tmp_path / "file" / "a.npz", ARRAYS, header())
+        records.write(tmp_path / "toy" / "ours" / "a" / "100-101.npz", ARRAYS, header())
 
 
-def test_every_published_record_is_intact():
-    assert [problem for _, problem in records.verify() if problem] == []
+def test_every_published_record_is_intact_and_of_the_config_of_its_name():
+    found = records.verify()
+    assert [problem for _, problem in found if problem] == []
+    assert len(found) >= 92
+    for path, _ in found:
+        record = records.read(path)
+        unit = cli.recorded_unit(record.header)  # raises where the config is another one today
+        assert f"{unit.label}.npz" == record.label
+        assert differing(unit, record) == []

@@ -2,7 +2,8 @@
 
 Each function takes normalised log-probabilities of shape [S, N, C] (S weight draws, N points, C classes) and returns
 one score per point; the highest scores are acquired. The deterministic approximation (*Softmax*) is the case S = 1. No
-epsilon is added anywhere and entropies are in nats, computed in float64.
+epsilon is added anywhere and entropies are in nats. ``score`` checks what it is given and computes in float64; the
+functions by themselves trust it.
 """
 
 import warnings
@@ -11,12 +12,19 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 from torch import Generator, Tensor
+
+from dropout_uncertainty.active_learning.inputs import numbers, whole
 
 __all__ = [
     "ACQUISITIONS", "Selection", "bald", "least_confidence", "margin", "max_entropy", "mean_std", "score", "select",
     "variation_ratios",
 ]  # fmt: skip
+
+#: How far the probabilities of the classes may be from a sum of 1: log-probabilities of thousands of classes that were
+#: rounded to bfloat16 are off by 3 %; logits, probabilities and regressions by far more.
+SLACK = 0.05
 
 
 def mean_log_probs(log_probs: Float[Tensor, "S N C"]) -> Float[Tensor, "N C"]:
@@ -84,21 +92,37 @@ ACQUISITIONS: dict[str, Callable[[Tensor], Tensor]] = {
 }
 
 
-def score(acquisition: str, log_probs: Float[Tensor, "S N C"]) -> Float[Tensor, " N"]:
-    """Return the scores of the named acquisition function in float64.
+def checked(log_probs: ArrayLike) -> Float[Tensor, "S N C"]:
+    """Return log-probabilities in float64.
 
     Raises:
-        ValueError: if the name is unknown, the shape is not [S, N, C], or a log-probability is NaN or above 0.
+        ValueError: if the shape is not [S, N, C], a value is NaN, or the probabilities of a point do not sum to 1.
+    """
+    values = numbers(log_probs, "log-probabilities [S, N, C]").double()
+    if values.ndim != 3 or 0 in values.shape:
+        raise ValueError(f"expected log-probabilities of shape [S, N, C], got {list(values.shape)}")
+    if broken := int(values.isnan().any(-1).any(0).sum()):
+        raise ValueError(f"the predictions of {broken} of {values.shape[1]} points are NaN: has the training diverged?")
+    total = values.exp().sum(-1)
+    if ((total - 1).abs() > SLACK).any():
+        raise ValueError(
+            "expected log-probabilities, whose exponentials sum to 1 over the classes, got sums from "
+            f"{total.min():.3g} to {total.max():.3g}: take log_softmax of logits, the log of probabilities; "
+            "a regression has no classes"
+        )
+    return values
+
+
+def score(acquisition: str, log_probs: ArrayLike) -> Float[Tensor, " N"]:
+    """Return the scores of the named acquisition function in float64, from log-probabilities [S, N, C].
+
+    Raises:
+        ValueError: if the name is unknown or ``checked`` refuses the log-probabilities.
     """
     if acquisition not in ACQUISITIONS:
         names = ", ".join(["random", *ACQUISITIONS])
         raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {names}")
-    if log_probs.ndim != 3 or 0 in log_probs.shape:
-        raise ValueError(f"expected log-probabilities of shape [S, N, C], got {list(log_probs.shape)}")
-    # The margin allows for the rounding of a log-softmax; a NaN fails the comparison too.
-    if not (log_probs <= 1e-3).all():
-        raise ValueError("expected log-probabilities, got values that are NaN or above 0: has the training diverged?")
-    return ACQUISITIONS[acquisition](log_probs.double())
+    return ACQUISITIONS[acquisition](checked(log_probs))
 
 
 @dataclass(frozen=True)
@@ -116,16 +140,17 @@ class Selection:
     all_tied: bool
 
 
-def select(scores: Float[Tensor, " N"], count: int, generator: Generator) -> Selection:
-    """Return the ``count`` highest scores, equal scores in random order; all of them if there are fewer.
+def select(scores: ArrayLike, count: int, generator: Generator) -> Selection:
+    """Return the ``count`` highest of N scores, equal scores in random order; all of them if there are fewer.
 
     A warning is given when every score is equal: the acquisition is then random (claim AL7).
 
     Raises:
         ValueError: if a score is NaN or infinite, if there is none, or if ``count`` < 1.
     """
-    if count < 1 or scores.ndim != 1 or len(scores) == 0:
-        raise ValueError(f"expected at least one score and a count of at least 1, got {list(scores.shape)}, {count}")
+    count, scores = whole(count, "the count of points to choose"), numbers(scores, "scores").cpu()
+    if scores.ndim != 1 or len(scores) == 0:
+        raise ValueError(f"expected at least one score, in one row, got shape {list(scores.shape)}")
     if not torch.isfinite(scores).all():
         raise ValueError(f"{int((~torch.isfinite(scores)).sum())} of {len(scores)} scores are NaN or infinite")
     # A stable sort by score of a random order: ties fall in random order.

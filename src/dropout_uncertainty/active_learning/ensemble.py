@@ -31,6 +31,7 @@ class Ensemble:
 
     def __init__(self, members: Sequence[Member]) -> None:
         self.members = members
+        self.classes = getattr(members[0], "classes", None)
         self.round = -1
 
     def fit(self, labelled: Int[Tensor, "R n"]) -> None:

@@ -6,25 +6,31 @@ A learner is whatever can be fitted to labelled points and predict others::
         def fit(self, labelled): ...               # indices [R, n] -> trains from scratch
         def log_probs(self, candidates, draws): ...  # indices [R, M] -> [R, S, M, C]; draws=0: one deterministic pass
 
-R is the number of replicas that run side by side; a single classifier has R = 1.
+R is the number of replicas that run side by side; a single classifier has R = 1. S is the number of draws asked for, or
+that of its members for a learner that has a fixed number of them. Candidates come in parts, which bounds the memory: a
+learner may say in an integer attribute ``classes`` how many there are; of others the first two points are predicted
+alone to find out.
 """
 
 import warnings
-from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Iterator, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
-from torch import Generator, Tensor
+from torch import Generator, Tensor, nn
 
-from dropout_uncertainty.active_learning.acquisition import Selection, score, select
+from dropout_uncertainty.active_learning.acquisition import Selection, checked, score, select
 from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
+from dropout_uncertainty.active_learning.inputs import numbers, whole
 from dropout_uncertainty.active_learning.pools import Pool
 
-__all__ = ["Learner", "acquire"]
+__all__ = ["Learner", "acquire", "predictions"]
 
-#: Points whose draws are held in memory at a time: 100 draws of 10 classes take 32 MB.
+#: Candidates that a learner predicts at a time, at most.
 CHUNK = 4_000
+#: Log-probabilities (draws × points × classes) of one replica that are scored at a time: 160 MB in float64.
+VALUES = 20_000_000
 
 
 @runtime_checkable
@@ -56,20 +62,28 @@ def acquire(
     all taken, with a warning.
 
     Raises:
-        ValueError: if a pool is empty, the acquisition is unknown or a prediction is NaN.
+        ValueError: if a pool is empty, the acquisition is unknown, or the learner returns anything but the
+            log-probabilities of these candidates.
     """
+    if isinstance(pools, Pool) or isinstance(generators, Generator) or len(pools) != len(generators):
+        raise ValueError("expected one pool and one generator for each replica, in two lists of the same length")
+    whole(count, "the count of points to acquire")
+    whole(draws, "the number of weight draws", 0)
     offered = [pool.candidates(g, subset) for pool, g in zip(pools, generators, strict=True)]
     left = min(len(o) for o in offered)
+    if any(len(o) != left for o in offered):
+        raise ValueError(f"expected pools of the same size, got {[len(o) for o in offered]} candidates")
     if left == 0:
         raise ValueError("the pool is empty: nothing is left to acquire")
     if left < count:
-        warnings.warn(f"only {left} points are left in the pool, asked for {count}: taking them all", stacklevel=2)
+        few = f"the subset has {left} candidates" if left == subset else f"only {left} points are left in the pool"
+        warnings.warn(f"{few}, asked for {count}: taking them all", stacklevel=2)
     if acquisition in BATCH_ACQUISITIONS:
         choose = BATCH_ACQUISITIONS[acquisition]
-        predictions = learner.log_probs(torch.stack(offered), draws)
+        log_probs = torch.cat(list(predictions(learner, torch.stack(offered), draws)), 2)
         selections = [
-            Selection(choose(replica, count, generator), 1, False)
-            for replica, generator in zip(predictions, generators, strict=True)
+            Selection(choose(checked(replica), count, generator), 1, False)
+            for replica, generator in zip(log_probs, generators, strict=True)
         ]
     else:
         selections = highest(learner, offered, acquisition, count, draws, generators)
@@ -101,7 +115,38 @@ def predicted_scores(
     learner: Learner, candidates: Int[Tensor, "R M"], acquisition: str, draws: int
 ) -> list[Float[Tensor, " M"]]:
     """Return the score of every candidate, one vector per replica."""
-    parts = []
-    for chunk in candidates.split(CHUNK, 1):
-        parts.append([score(acquisition, replica) for replica in learner.log_probs(chunk, draws)])
+    parts = [[score(acquisition, r) for r in log_probs] for log_probs in predictions(learner, candidates, draws)]
     return [torch.cat(scores).cpu() for scores in zip(*parts, strict=True)]
+
+
+def predictions(learner: Learner, candidates: Int[Tensor, "R M"], draws: int) -> Iterator[Float[Tensor, "R S m C"]]:
+    """Yield the log-probabilities of the candidates part by part, at most ``VALUES`` of a replica at a time.
+
+    Raises:
+        ValueError: if the learner returns another shape than [R, S, m, C].
+    """
+    classes, samples, begin = getattr(learner, "classes", None), max(draws, 1), 0
+    while begin < candidates.shape[1]:
+        points = max(1, min(CHUNK, VALUES // (samples * classes))) if isinstance(classes, int) else 2
+        part = candidates[:, begin : begin + points]
+        log_probs = numbers(learner.log_probs(part, draws), "log-probabilities [R, S, M, C]")
+        replicas, count = part.shape
+        if log_probs.ndim != 4 or (log_probs.shape[0], log_probs.shape[2]) != (replicas, count):
+            raise ValueError(
+                f"expected log-probabilities of shape [R, S, M, C] = [{replicas}, {samples}, {count}, classes] for "
+                f"{count} candidates, got {list(log_probs.shape)}"
+            )
+        samples, classes, begin = log_probs.shape[1], log_probs.shape[3], begin + count
+        yield log_probs
+    if any(layer.training for layer in _batch_normalisations(learner)):
+        warnings.warn(
+            "the learner predicts with batch normalisation in training mode, so a prediction depends on its company: "
+            "call eval() on the network, and train() on its dropout layers only",
+            stacklevel=2,
+        )
+
+
+def _batch_normalisations(learner: Any) -> list[nn.Module]:
+    held = [learner, *getattr(learner, "__dict__", {}).values()]
+    networks = [network for network in held if isinstance(network, nn.Module)]
+    return [layer for network in networks for layer in network.modules() if "BatchNorm" in type(layer).__name__]

@@ -2,7 +2,6 @@
 
 import gzip
 import hashlib
-import os
 import zlib
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,6 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
 
 __all__ = ["DataError", "Mnist", "data_folder", "load"]
@@ -24,6 +24,8 @@ FILES = {
     "t10k-images-idx3-ubyte": ("0fa7898d509279e482958e8ce81c8e77db3f2f8254e26661ceb7762c4d494ce7", (10_000, 28, 28)),
     "t10k-labels-idx1-ubyte": ("ff7bcfd416de33731a308c3f266cc351222c34898ecbeaf847f06e48f7ec33f2", (10_000,)),
 }
+#: What to do with other data.
+OWN = "`active_learning.simulate` takes images and labels of any kind, with a classifier of your own"
 
 
 class DataError(UserError):
@@ -32,18 +34,35 @@ class DataError(UserError):
 
 @dataclass(frozen=True)
 class Mnist:
-    """Images in [0, 1] (pixel / 255, not centred) and labels 0-9."""
+    """Images in [0, 1] (pixel / 255, not centred) and labels 0-9, or -1 for what is no digit of the task.
+
+    Raises:
+        DataError: if the images are not grey ones of 28 × 28 pixels as floating-point numbers, with one label 0-9 each.
+    """
 
     train_images: Float[Tensor, "N 28 28"]
     train_labels: Int[Tensor, " N"]
     test_images: Float[Tensor, "M 28 28"]
     test_labels: Int[Tensor, " M"]
 
+    def __post_init__(self) -> None:
+        """Raise DataError for data that the network of section 5.2 cannot take."""
+        for images, labels in ((self.train_images, self.train_labels), (self.test_images, self.test_labels)):
+            if not (torch.is_tensor(images) and images.is_floating_point() and images.shape[1:] == (28, 28)):
+                got = f"{getattr(images, 'dtype', type(images))} of shape {list(getattr(images, 'shape', []))}"
+                raise DataError(
+                    f"expected grey images as a tensor [N, 28, 28] of floating-point numbers, got {got}; {OWN}"
+                )
+            if not torch.is_tensor(labels) or labels.dtype != torch.int64 or labels.shape != images.shape[:1]:
+                got = f"{getattr(labels, 'dtype', type(labels))} of shape {list(getattr(labels, 'shape', []))}"
+                raise DataError(f"expected one int64 label for each of {len(images)} images, got {got}; {OWN}")
+            if len(labels) and not -1 <= int(labels.min()) <= int(labels.max()) <= 9:
+                raise DataError(f"expected labels 0-9, got {int(labels.min())} to {int(labels.max())}; {OWN}")
+
 
 def data_folder() -> Path:
     """Return the folder of the data: ``DROPOUT_UNCERTAINTY_DATA`` if set, else ``data/mnist`` of the repository."""
-    default = Path(__file__).resolve().parents[3] / "data" / "mnist"
-    return Path(os.environ.get("DROPOUT_UNCERTAINTY_DATA") or default)
+    return folders.named(folders.DATA) or (folders.checkout() or Path.cwd()) / "data" / "mnist"
 
 
 def read_idx(path: Path) -> np.ndarray:
@@ -53,7 +72,8 @@ def read_idx(path: Path) -> np.ndarray:
         DataError: if the file is missing, truncated or not the one that ``FILES`` names.
     """
     checksum, shape = FILES[path.name.removesuffix(".gz")]
-    remedy = "restore it with `git checkout data/mnist`, or point DROPOUT_UNCERTAINTY_DATA at a folder that has it"
+    restore = "restore it with `git checkout data/mnist`, or " if folders.checkout() else ""
+    remedy = f"{restore}name a folder that has it with {folders.DATA}"
     try:
         content = gzip.decompress(path.read_bytes())
     except FileNotFoundError:
@@ -79,4 +99,4 @@ def load(folder: Path | str | None = None) -> Mnist:
     Raises:
         DataError: if a file is missing, truncated or altered; the message says which and what to do.
     """
-    return _load(Path(folder) if folder is not None else data_folder())
+    return _load(folders.existing(Path(folder) if folder is not None else data_folder(), folders.DATA, "data"))

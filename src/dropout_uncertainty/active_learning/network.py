@@ -65,6 +65,8 @@ class BayesianCNN(nn.Module):
         sides = [SIDE]
         for _ in range(blocks):
             sides.append((sides[-1] - 2 * (kernel - 1)) // 2)
+        if sides[-1] < 1:
+            raise ValueError(f"nothing is left of {SIDE} pixels behind kernels of {kernel} in {blocks} blocks")
         #: Width of the dropout sites: the pooled features of each block, and the dense layer.
         self.widths = [filters[2 * b + 2] * sides[b + 1] ** 2 for b in range(blocks)] + [HIDDEN]
         fan_out, area = INITIALISATIONS[initialisation], kernel**2
@@ -105,7 +107,16 @@ class BayesianCNN(nn.Module):
         return rows.permute(2, 0, 1, 3).flatten(2)
 
     def features(self, images: Float[Tensor, "R B 28 28"]) -> Float[Tensor, "R B F"]:
-        """Return what lies before the first dropout: the pooled maps of the first block, flattened."""
+        """Return what lies before the first dropout: the pooled maps of the first block, flattened.
+
+        Raises:
+            ValueError: if the images are not grey ones of 28 × 28 pixels, B for each replica.
+        """
+        if images.ndim != 4 or (len(images), *images.shape[2:]) != (len(self.seeds), SIDE, SIDE):
+            raise ValueError(
+                f"expected grey images [{len(self.seeds)}, B, {SIDE}, {SIDE}], replicas first, got "
+                f"{list(images.shape)}; `simulate` takes other images, with a network of your own"
+            )
         maps = images.transpose(0, 1).to(self.compute).contiguous(memory_format=torch.channels_last)
         return self._flat(self._block(maps, 0))
 

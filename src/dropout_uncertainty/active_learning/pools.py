@@ -4,7 +4,10 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Int
+from numpy.typing import ArrayLike
 from torch import Generator, Tensor
+
+from dropout_uncertainty.active_learning.inputs import indices, numbers, whole
 
 __all__ = ["Pool", "Split", "balanced_subset", "split"]
 
@@ -18,13 +21,14 @@ class Split:
     pool: Int[Tensor, " N"]
 
 
-def balanced_subset(labels: Int[Tensor, " N"], per_class: int) -> Int[Tensor, " I"]:
+def balanced_subset(labels: ArrayLike, per_class: int) -> Int[Tensor, " I"]:
     """Return the positions of the first ``per_class`` points of each class, in the order of the points.
 
     Raises:
-        ValueError: if a class between 0 and the largest label has fewer points than asked for.
+        ValueError: if the labels are not integers from 0, or a class up to the largest has fewer points than asked for.
     """
-    positions = []
+    labels, positions = _classes(labels), []
+    whole(per_class, "the number of initial points per class")
     for label in range(int(labels.max()) + 1):
         found = (labels == label).nonzero().flatten()[:per_class]
         if len(found) < per_class:
@@ -33,8 +37,15 @@ def balanced_subset(labels: Int[Tensor, " N"], per_class: int) -> Int[Tensor, " 
     return torch.cat(positions).sort().values
 
 
+def _classes(labels: ArrayLike) -> Int[Tensor, " N"]:
+    """Return labels as integers from 0; raises ValueError for any others."""
+    what = "labels 0, 1, ... (`simulate` takes labels of any type)"
+    labels = numbers(labels, what).cpu()
+    return indices(labels.long() if labels.dtype == torch.bool else labels, what)
+
+
 def split(
-    labels: Int[Tensor, " N"],
+    labels: ArrayLike,
     generator: Generator,
     *,
     per_class: int = 2,
@@ -51,8 +62,9 @@ def split(
     Raises:
         ValueError: if the parts do not fit into the set, or a class is missing in the source of the initial set.
     """
+    labels = _classes(labels)
     total = len(labels)
-    if source + validation + (pool or 0) > total:
+    if min(source, validation, pool or 0) < 0 or source + validation + (pool or 0) > total:
         raise ValueError(f"source {source}, validation {validation} and pool {pool} do not fit into {total} points")
     order = torch.randperm(total, generator=generator)
     initial = order[:source][balanced_subset(labels[order[:source]], per_class)]
@@ -70,8 +82,13 @@ class Pool:
     All indices are those of the data set, never positions in a shrinking pool.
     """
 
-    def __init__(self, initial: Int[Tensor, " I"], pool: Int[Tensor, " N"]) -> None:
-        """Start with ``initial`` labelled; raises ValueError if the two overlap or repeat a point."""
+    def __init__(self, initial: ArrayLike, pool: ArrayLike) -> None:
+        """Start with ``initial`` labelled, both given as indices or as masks over the data set.
+
+        Raises:
+            ValueError: if they are neither, or if the two overlap or repeat a point.
+        """
+        initial, pool = indices(initial, "the initial points"), indices(pool, "the points of the pool")
         both = torch.cat([initial, pool])
         if len(both.unique()) != len(both):
             raise ValueError("the initial points and the pool repeat a point: they must be disjoint sets of indices")
@@ -82,19 +99,22 @@ class Pool:
     def candidates(self, generator: Generator, size: int | None = None) -> Int[Tensor, " M"]:
         """Return the points left, or ``size`` of them drawn at random without replacement (all, if fewer are left)."""
         left = self.all[self.available]
+        if size is not None:
+            whole(size, "the size of the subset")
         if size is None or size >= len(left):
             return left
         return left[torch.randperm(len(left), generator=generator)[:size]]
 
-    def acquire(self, indices: Int[Tensor, " k"], *, keep: bool = False) -> None:
+    def acquire(self, points: ArrayLike, *, keep: bool = False) -> None:
         """Label the given points of the pool; ``keep`` leaves them in the pool (acquisition with replacement).
 
         Raises:
             ValueError: if a point is not in what is left of the pool.
         """
-        positions = torch.isin(self.all, indices) & self.available
-        if int(positions.sum()) != len(indices.unique()) or (not keep and len(indices.unique()) != len(indices)):
+        points = indices(points, "the points to acquire")
+        positions = torch.isin(self.all, points) & self.available
+        if int(positions.sum()) != len(points.unique()) or (not keep and len(points.unique()) != len(points)):
             raise ValueError("tried to acquire a point twice, or one that is not in the pool")
-        self.labelled = torch.cat([self.labelled, indices])
+        self.labelled = torch.cat([self.labelled, points])
         if not keep:
             self.available &= ~positions

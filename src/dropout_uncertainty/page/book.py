@@ -14,18 +14,19 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
+from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
+from dropout_uncertainty.page import profiles
 from dropout_uncertainty.runs import records
 
-__all__ = ["PROFILES", "BookError", "build", "notebooks", "run_notebooks", "times"]
-
-PROFILES = ("recorded", "quick", "full")
+__all__ = ["BookError", "build", "notebooks", "run_notebooks", "times"]
 
 # all relative to the repository: papermill and Sphinx write the paths they are given into the published pages
 NOTEBOOKS, PROSE, CONFIG = Path("notebooks"), Path("book"), Path("_config.yml")
@@ -64,13 +65,14 @@ def run_notebooks(profile: str = "recorded", names: Sequence[str] | None = None)
     """Run notebooks from top to bottom in the given profile and return the seconds each took.
 
     Args:
-        profile: one of ``PROFILES``.
+        profile: one of ``profiles.PROFILES``.
         names: notebooks to run, without suffix; all of them by default.
 
     Raises:
-        ValueError: if the profile or a name is unknown.
+        UserError: if the profile or a name is unknown, or the folder of the records is not there.
         BookError: if a cell fails, naming notebook and cell; the notebook up to there is kept in ``_build/running``.
     """
+    profiles.check(profile)
     with _only_one():
         return _run_notebooks(profile, names)
 
@@ -79,9 +81,10 @@ def build(profile: str = "recorded", *, run: bool = True) -> Path:
     """Run all notebooks (unless ``run`` is false), build the HTML and return the path of its first page.
 
     Raises:
-        ValueError: if the profile is unknown.
+        UserError: if the profile is unknown, or the folder of the records is not there.
         BookError: if a notebook fails, was not run before, or jupyter-book reports an error or a warning.
     """
+    profiles.check(profile)
     begin = time.monotonic()
     with _only_one():
         if run:
@@ -94,11 +97,12 @@ def build(profile: str = "recorded", *, run: bool = True) -> Path:
 
 
 def _run_notebooks(profile: str, names: Sequence[str] | None) -> dict[str, float]:
-    if profile not in PROFILES:
-        raise UserError(f"unknown profile {profile!r}, choose one of {', '.join(PROFILES)}")
     known = notebooks()
     if unknown := [name for name in names or () if name not in known]:
         raise UserError(f"there is no notebook {unknown[0]!r}, choose from {', '.join(known)}")
+    if profile == "full":  # the one that computes records
+        folders.create(records.root())
+    folders.existing(records.root(), folders.RECORDS, "records")
     if names is None:
         shutil.rmtree(EXECUTED, ignore_errors=True)
     shutil.rmtree(RUNNING, ignore_errors=True)
@@ -118,7 +122,8 @@ def _execute(name: str, profile: str) -> float:
     begin, worked = time.monotonic(), _cpu_seconds()
     try:
         with _peak_megabytes() as peak:
-            papermill.execute_notebook(
+            _aside(
+                papermill.execute_notebook,
                 str(source),
                 str(running),
                 parameters,
@@ -139,6 +144,33 @@ def _execute(name: str, profile: str) -> float:
     _note(profile, name, seconds=seconds, cpu_seconds=_cpu_seconds() - worked, megabytes=max(peak))
     print(f"{source} ran in profile {profile}: {_duration(seconds)}", flush=True)
     return seconds
+
+
+def _aside(function: Callable[..., Any], *arguments: Any, **options: Any) -> None:
+    """Call a function in another thread: in the main one papermill's libraries would answer signals in their way.
+
+    What the function has started ends with it, and also where this one is left by an exception.
+    """
+    import psutil
+
+    outcome: Future[None] = Future()
+
+    def call() -> None:
+        try:
+            outcome.set_result(function(*arguments, **options))
+        except Exception as error:
+            outcome.set_exception(error)
+
+    before = psutil.Process().children()
+    threading.Thread(target=call, daemon=True).start()
+    try:
+        outcome.result()
+    except BaseException:
+        for process in psutil.Process().children(recursive=True):
+            if process not in before:
+                with contextlib.suppress(psutil.Error):  # it has just ended
+                    process.kill()
+        raise
 
 
 def _note(profile: str, name: str, **took: float) -> None:
@@ -225,9 +257,9 @@ def _build_html() -> None:
 
 def _repository() -> Path:
     """Return the folder that holds the notebooks; the book is made in a clone, not from an installed package."""
-    folder = Path(__file__).resolve().parents[3]
-    if not (folder / CONFIG).exists():
-        raise BookError("the book is made from a clone of the repository: clone it and install with `pip install -e .`")
+    folder = folders.checkout()
+    if folder is None:
+        raise BookError("the book is made in a clone of the repository: clone it and install with `pip install -e .`")
     return folder
 
 
@@ -235,12 +267,14 @@ def _repository() -> Path:
 def _only_one() -> Iterator[None]:
     """Work in the repository, refusing to start while another process makes the book there."""
     folder = _repository()
-    (folder / BUILD).mkdir(exist_ok=True)
     lock = FileLock(folder / BUILD / ".lock")
     try:
+        (folder / BUILD).mkdir(exist_ok=True)
         lock.acquire(timeout=0)
     except Timeout:
         raise BookError(f"another process is making the book in {folder / BUILD}: wait until it has finished") from None
+    except OSError as error:
+        raise BookError(f"cannot write in {folder / BUILD} ({error.strerror or error}): is it read-only?") from None
     with lock, contextlib.chdir(folder):
         yield
 

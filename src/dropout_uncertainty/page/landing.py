@@ -19,6 +19,7 @@ import numpy as np
 from matplotlib import image
 from numpy.typing import NDArray
 
+from dropout_uncertainty import folders
 from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.report import analysis as active_learning
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as what_matters
@@ -31,12 +32,11 @@ from dropout_uncertainty.exploration.report import animation
 from dropout_uncertainty.judging.collect import collect
 from dropout_uncertainty.judging.results import Result, thesis_value
 from dropout_uncertainty.page.plotting import COLOURS
-from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.runs.records import Record, root
 from dropout_uncertainty.stats import Interval, t_interval
 
 __all__ = ["FACTS", "HEADLINES", "PICTURES", "Headline", "facts", "numbers", "readme", "tally", "write"]
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 README, FOLDER = Path("README.md"), Path("book", "_static", "front")
 #: Where the numbers stand in the README.
 BEGIN, END = "<!-- numbers: written by `dropout-uncertainty front` -->", "<!-- end of numbers -->"
@@ -367,19 +367,42 @@ def write(folder: Path | None = None) -> list[str]:
     """Write the README's numbers and the pictures from the records; return what was done, one line each.
 
     A picture whose records are missing stays as it is.
+
+    Raises:
+        UserError: outside a clone, or if the README's numbers rest on more repetitions than there are records of, or
+            if a file cannot be written.
     """
-    path = REPOSITORY / README
-    path.write_text(readme(path.read_text(encoding="utf-8"), collect(folder)), encoding="utf-8")
+    clone = folders.checkout()
+    if clone is None:
+        raise UserError("README and pictures belong to a clone of the repository, and this is an installed package")
+    old = (clone / README).read_text(encoding="utf-8")
+    new = readme(old, collect(folder))
+    now = _repetitions(new)
+    for what, before in _repetitions(old).items():
+        if now.get(what, before) < before:
+            raise UserError(
+                f"{README} has {before} repetitions of {what!r}, the records in {folder or root()} {now[what]}: "
+                "it stays as it is"
+            )
+    drawn = {FOLDER / f"{name}.svg": draw(folder) for name, draw in PICTURES.items()}
+    try:
+        (clone / FOLDER).mkdir(parents=True, exist_ok=True)
+        for target, content in {README: new, **drawn}.items():
+            if content is not None:
+                (clone / target).write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {error.filename} ({error.strerror}): is the clone read-only?") from None
     done = [f"{README} has the numbers of the records"]
-    (REPOSITORY / FOLDER).mkdir(parents=True, exist_ok=True)
-    for name, draw in PICTURES.items():
-        svg, target = draw(folder), FOLDER / f"{name}.svg"
-        if svg is None:
-            done.append(f"{target} stays as it is: its records are missing")
-        else:
-            (REPOSITORY / target).write_text(svg, encoding="utf-8")
-            done.append(f"{target} is drawn anew")
+    for target, svg in drawn.items():
+        done.append(f"{target} {'stays as it is: its records are missing' if svg is None else 'is drawn anew'}")
     return done
+
+
+def _repetitions(text: str) -> dict[str, int]:
+    """Return how many repetitions each of the README's numbers rests on, by what it is."""
+    block = text.partition(BEGIN)[2].partition(END)[0]
+    rows = [line.strip("| ").split(" | ") for line in block.splitlines()]
+    return {row[1]: int(row[4]) for row in rows if len(row) == 6 and row[4].isdigit()}
 
 
 def _svg(title: str, records: Sequence[Record], body: str, style: str = "") -> str:

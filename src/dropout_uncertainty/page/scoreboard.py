@@ -7,6 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, get_args
 
+from dropout_uncertainty import folders
 from dropout_uncertainty.judging.collect import SECTIONS
 from dropout_uncertainty.judging.results import MIN_REPETITIONS, Claim, Judgement, Verdict
 from dropout_uncertainty.page.tables import command
@@ -15,7 +16,6 @@ from dropout_uncertainty.runs.records import Record
 __all__ = ["VERDICTS", "behind", "costs", "how_long", "run_times", "sentence", "tally", "verdicts"]
 
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
-NOTEBOOKS = Path(__file__).resolve().parents[3] / "notebooks"
 
 Cells = tuple[list[str], list[list[Any]]]
 
@@ -70,8 +70,9 @@ def _behind(judgement: Judgement) -> str:
 
 def _where(claim: Claim) -> str:
     """Return the place in the thesis, with links to figures and tables of the book, and the chapter."""
-    notebook = NOTEBOOKS / f"{claim.chapter}.ipynb"
-    if not notebook.exists():
+    clone = folders.checkout()
+    notebook = (clone or Path()) / "notebooks" / f"{claim.chapter}.ipynb"
+    if clone is None or not notebook.exists():
         return claim.where
     labels = set(re.findall(r"\b(?:fig|tab)-5-\d+\b", notebook.read_text(encoding="utf-8")))
 

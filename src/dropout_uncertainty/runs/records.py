@@ -26,15 +26,14 @@ from typing import Any
 
 import numpy as np
 
+from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
 
 __all__ = [
     "Record", "RecordError", "checksum", "config_dict", "config_diff", "config_hash", "file_name", "find",
-    "header_checksum", "missing_seeds", "provenance", "read", "root", "table", "verify", "write",
+    "header_checksum", "missing_seeds", "parent", "provenance", "read", "root", "table", "verify", "write",
 ]  # fmt: skip
 
-# of the repository, whatever folder the records of a run go to
-OWN = Path(__file__).resolve().parents[3] / "records"
 SCHEMA = 2
 HEADER = "header.json"
 #: What systems say on a disk without hard links.
@@ -79,17 +78,30 @@ class Record:
 
 
 def root() -> Path:
-    """Return the folder of the records: ``DROPOUT_UNCERTAINTY_RECORDS`` if set, else ``records`` of the repository."""
-    return Path(os.environ.get("DROPOUT_UNCERTAINTY_RECORDS") or OWN)
+    """Return the folder of the records: ``DROPOUT_UNCERTAINTY_RECORDS`` if set, else ``records`` of the repository.
+
+    Of a package that is installed elsewhere it is ``records`` in the current folder.
+    """
+    return folders.named(folders.RECORDS) or (folders.checkout() or Path.cwd()) / "records"
 
 
 def table(name: str) -> list[dict[str, str]]:
     """Return the lines of a table of the repository's ``records``: what the thesis prints or an original program left.
 
-    ``name`` is without suffix, such as "thesis" or "original/pilco_octave_cartpole".
+    ``name`` is without suffix, such as "thesis" or "original/pilco_octave_cartpole". Outside a clone of the repository
+    the table is looked for among the records.
+
+    Raises:
+        RecordError: if it is not there.
     """
-    with open(OWN / f"{name}.csv", newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    clone = folders.checkout()
+    path = (clone / "records" if clone else root()) / f"{name}.csv"
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+    except FileNotFoundError:
+        remedy = f"a clone of the repository has it; name its folder of records with {folders.RECORDS}"
+        raise RecordError(f"there is no table {path}: {remedy}") from None
 
 
 def config_dict(config: Any) -> dict[str, Any]:
@@ -182,7 +194,7 @@ def provenance(device: str = "cpu") -> dict[str, Any]:
         "commit": _git("rev-parse", "HEAD"),
         "dirty": None if status is None else bool(status),
         "python": platform.python_version(),
-        "torch": torch.__version__,
+        "torch": str(torch.__version__),  # plain, so that a checkpoint can hold it
         "numpy": np.__version__,
         "scipy": scipy.__version__,
         "system": f"{platform.system()} {platform.machine()}",
@@ -212,6 +224,18 @@ def _processor_family() -> str:
 
     known = [f"{key.removeprefix('cpu ')} {_cpuinfo()[key]}" for key in ("cpu family", "model") if key in _cpuinfo()]
     return ", ".join([*known, torch.backends.cpu.get_cpu_capability()])
+
+
+def parent(record: Record, seeds: Sequence[int]) -> dict[str, Any]:
+    """Return how a record is named in the header of one that goes on from ``seeds`` of it, with their cost.
+
+    That is their share of the record's own cost and of that of its parents.
+    """
+    origin = record.header["provenance"]
+    share = len(set(seeds) & set(record.seeds)) / len(record.seeds)
+    costs = {clock: share * origin.get(f"whole_{clock}", origin.get(clock, 0.0)) for clock in ("wall_s", "cpu_s")}
+    code = {"commit": origin.get("commit"), "rounding": origin.get("rounding", 1)}
+    return {"record": record.label, "checksum": record.header["checksum"], **code, **costs}
 
 
 def write(path: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> Record:
@@ -346,7 +370,7 @@ def find(
     Raises:
         RecordError: if one of them cannot be trusted, seeds come twice, or configs of one name differ.
     """
-    folder = folder or root()
+    folder = folders.existing(folder or root(), folders.RECORDS, "records")
     found = [read(path, folder) for path in _files(folder / experiment / (name or ""))]
     if name is not None:
         found = [record for record in found if record.header["name"] == name]
@@ -416,7 +440,7 @@ def missing_seeds(
 
 def verify(folder: Path | None = None) -> list[tuple[Path, str | None]]:
     """Return every record file below ``folder`` with None, or the sentence that says what is wrong with it."""
-    folder = folder or root()
+    folder = folders.existing(folder or root(), folders.RECORDS, "records")
     results: dict[Path, str | None] = {}
     intact = []
     for path in _files(folder):

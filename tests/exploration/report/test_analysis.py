@@ -207,3 +207,38 @@ def test_late_in_the_runs_epsilon_greedy_eats_twice_as_much_and_no_more_poison()
     )
     assert 1.7 < food[0] / food[1] < 2.5
     assert poison[0] < 1.05 * poison[1]
+
+
+def test_a_second_record_adds_its_seeds_and_comparisons_pair_by_seed(tmp_path):
+    """What each run earns is its seed, and 1 more with no exploration; the records hold the seeds in other orders."""
+    config, blocks = CONFIGS["ours-thompson"], CONFIGS["ours-thompson"].ticks // analysis.BLOCK
+
+    def store(name, seeds, more):
+        reward = np.broadcast_to(np.array(seeds)[:, None, None] + more, (len(seeds), 1, blocks)).astype(float)
+        plain = records.config_dict(CONFIGS[name])
+        header = {
+            "experiment": "exploration", "name": name, "seeds": list(seeds), "config": plain,
+            "config_hash": records.config_hash(plain), "device": "cpu", "precision": "float32", "provenance": {},
+        }  # fmt: skip
+        arrays = {"average_reward": reward, "reward": reward, "weights": np.zeros((min(2, len(seeds)), 1, 7))}
+        path = tmp_path / "exploration" / name / f"{records.file_name(seeds, 'cpu')}.npz"
+        records.write(path, arrays, header)
+
+    assert config.agents[0].policy == "thompson"
+    for seeds in ((0, 1, 2), (5, 7)):
+        store("ours-thompson", seeds, 0.0)
+    for seeds in ((7, 2), (0, 1, 9)):
+        store("ours-greedy", seeds, 1.0 + 0.01 * seeds[0])
+    agents = analysis.load("ours", tmp_path)
+    thompson, greedy = agents["thompson"], agents["greedy"]
+    assert thompson.seeds == (0, 1, 2, 5, 7)
+    assert thompson.mean(0, 5000).tolist() == [0, 1, 2, 5, 7]
+    assert [r.path.name for r in thompson.records] == ["000-002.npz", "005+007.npz"]
+    assert [one.seeds for one in analysis.paired(greedy, thompson)] == [(0, 1, 7, 2)] * 2
+    value, low, high, n = analysis.compare(greedy, thompson, *analysis.LATE)
+    assert n == 4
+    assert value == pytest.approx((1 + 1 + 1.07 + 1.07) / 4)
+    assert low > 0.9
+    assert high < 1.2
+    crossing = next(r for r in analysis.results(tmp_path) if r.id == "figure-5.4/greedy/first-crossing")
+    assert crossing.seeds == [0, 1, 2, 7, 9]

@@ -38,6 +38,11 @@ LABELS: dict[str, str] = {
     "dropout/variation-ratios": "Dropout Variation Ratios",
     "dropout/bald": "Dropout BALD",
     "dropout/mean-std": "Dropout Mean STD",
+    "softmax/margin": "Softmax Margin",
+    "ensemble/bald": "Ensemble BALD",
+    "ensemble/max-entropy": "Ensemble Max Entropy",
+    "dropout/batch-bald": "Dropout BatchBALD",
+    "dropout/power-bald": "Dropout power-BALD",
 }
 #: How each family of configs that runs the rows of the tables is called.
 SETTINGS = {"ours": "common", "as-recorded": "as its script ran it", "as-written": "as the text has it"}

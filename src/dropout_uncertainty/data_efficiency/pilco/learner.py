@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,9 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 from dropout_uncertainty.runs import records, sweep
-from dropout_uncertainty.runs.execute import Unit
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit
 
 __all__ = [
     "CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer",
@@ -52,10 +53,17 @@ class PilcoConfig:
     """Standard deviation of the first targets of the controller's basis functions."""
     log_length_scales: tuple[float, ...] = (0.0, 0.0, 0.0, -0.35667494393873245, -0.35667494393873245)
     """Logs of the controller's first length-scales: 1, 1, 1, 0.7, 0.7."""
+    doubt: bool = field(default=True, metadata={"before": True})
+    """The controller is improved on the model with its variance. Otherwise on its mean, taken for the truth; only the
+    start state is uncertain then."""
 
     def __post_init__(self) -> None:
         if self.trials < 1 or self.basis < 1 or self.policy_iterations < 1 or self.model_iterations < 1:
             raise ValueError(f"trials, basis functions and line searches must be positive, got {asdict(self)}")
+        if self.inducing < 0 or self.inducing_iterations < 1 or self.target_std <= 0:
+            raise ValueError(f"expected no negative numbers and positive steps and targets, got {asdict(self)}")
+        if len(self.log_length_scales) != planning.DIM:
+            raise ValueError(f"expected {planning.DIM} length-scales, one per feature, got {self.log_length_scales}")
 
 
 #: The plant of the original code.
@@ -87,7 +95,7 @@ class PilcoLearning:
     )
 
     def __init__(self, config: PilcoConfig, seeds: Sequence[int], device: str = "cpu") -> None:
-        if not seeds:
+        if len(seeds) == 0:
             raise ValueError("at least one seed is needed, got none")
         self.config, self.seeds, self.device = config, tuple(seeds), device
         self.total, self.done = config.trials + 1, 0
@@ -129,8 +137,9 @@ class PilcoLearning:
             with self._timed("gradients"):
                 self._record_gradients(model)
             with self._timed("policy"):
-                self._improve(model)
-                self._predict(model)
+                planned = model if self.config.doubt else model.mean_function()
+                self._improve(planned)
+                self._predict(planned)
         with self._timed("trial"):
             self._run_trial()
         costs = self.log["costs"][:, self.done]
@@ -274,40 +283,46 @@ def start(config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precis
     Raises:
         ValueError: for another precision than float64.
     """
+    return PilcoLearning(config, seeds, _device(device, precision))
+
+
+def _device(device: str, precision: str) -> str:
     if precision != "float64":
         raise ValueError(f"PILCO runs in float64, got {precision}; leave it out")
-    return PilcoLearning(config, seeds, device)
+    return device
+
+
+class ContinuedPilco(PilcoLearning):
+    """The same, going on from records of shorter runs."""
+
+    def inherit(self, folder: Path) -> list[dict[str, Any]]:
+        """Stand where records of the same learner with fewer trials end, and return them as parents.
+
+        Without records of all its seeds from the same device type it stays at the beginning; the result is the same,
+        but for rounding where they were made by an older version (`PilcoLearning.ROUNDING`).
+        """
+        names = [name for name in CONFIGS if _is_shorter(CONFIGS[name], self.config)]
+        device = torch.device(self.device).type
+        for name in sorted(names, key=lambda name: -CONFIGS[name].trials):
+            found = records.find(EXPERIMENT, CONFIGS[name], name=name, folder=folder, device=device)
+            place = {seed: (record, row) for record in found for row, seed in enumerate(record.seeds)}
+            if all(seed in place for seed in self.seeds):
+                rows = [place[seed] for seed in self.seeds]
+                arrays = {key: np.stack([r.arrays[key][row] for r, row in rows]) for key in rows[0][0].arrays}
+                self.take_over(arrays, {part: _seconds(part, [record for record, _ in rows]) for part in self.PARTS})
+                return [records.parent(record, self.seeds) for record in found if set(record.seeds) & set(self.seeds)]
+        return []
 
 
 def start_longer(
     config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float64"
-) -> PilcoLearning:
-    """Return the process of one unit that stands where records of the same learner with fewer trials end.
-
-    Without records of all its seeds from the same device type it begins at the beginning; the result is the same, but
-    for rounding where they were made by an older version (`PilcoLearning.ROUNDING`).
-    """
-    process = start(config, seeds, device, precision)
-    shorter = [record for record in records.find(EXPERIMENT) if _is_shorter(record, config, device)]
-    for trials in sorted({record.header["config"]["trials"] for record in shorter}, reverse=True):
-        place = {
-            seed: (record, row)
-            for record in shorter if record.header["config"]["trials"] == trials
-            for row, seed in enumerate(record.seeds)
-        }  # fmt: skip
-        if all(seed in place for seed in seeds):
-            rows = [place[seed] for seed in seeds]
-            arrays = {name: np.stack([r.arrays[name][row] for r, row in rows]) for name in rows[0][0].arrays}
-            process.take_over(arrays, {part: _seconds(part, [record for record, _ in rows]) for part in process.PARTS})
-            break
-    return process
+) -> ContinuedPilco:
+    """Return the process of one unit that can go on from shorter ones; raises ValueError as `start` does."""
+    return ContinuedPilco(config, seeds, _device(device, precision))
 
 
-def _is_shorter(record: Record, config: PilcoConfig, device: str) -> bool:
-    if record.header["device"] != torch.device(device).type:
-        return False
-    differing = [field for field, *_ in records.config_diff(record.header["config"], config)]
-    return differing == ["trials"] and record.header["config"]["trials"] < config.trials
+def _is_shorter(config: PilcoConfig, longer: PilcoConfig) -> bool:
+    return config.trials < longer.trials and replace(config, trials=longer.trials) == longer
 
 
 def _seconds(part: str, found: Sequence[Record]) -> list[float]:

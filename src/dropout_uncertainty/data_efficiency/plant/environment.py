@@ -13,9 +13,7 @@ try:
     import gymnasium
     from gymnasium import spaces
 except ImportError as missing:
-    raise UserError(
-        "the environment needs Gymnasium, which is not installed: pip install 'dropout-uncertainty[gym]'"
-    ) from missing
+    raise UserError("the environment needs Gymnasium, which is not installed: pip install 'gymnasium>=1'") from missing
 
 __all__ = ["CartPoleSwingUp", "step"]
 
@@ -88,19 +86,19 @@ class CartPoleSwingUp(gymnasium.Env):
         self._state, self._steps = tuple(state.tolist()), 0
         return self._observe(state), {"state": state}
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Apply a force for one control interval.
 
         Raises:
-            UserError: before the first ``reset``, or if the action is not one finite number.
+            UserError: before the first ``reset``, or if the action is not one number in [-1, 1].
         """
         if self._state is None:
             raise UserError("the environment has no state yet: call reset first")
-        share = np.asarray(action, dtype=np.float64)
-        if share.shape != (1,) or not np.isfinite(share).all():
-            raise UserError(f"expected an action of one finite number in [-1, 1], got {action!r}")
-        force = self.plant.force_limit * min(1.0, max(-1.0, float(share[0])))
-        self._state = moved = step(self.plant, self._state, force)
+        share = np.asarray(action, dtype=np.float64).reshape(-1)
+        if share.size != 1 or not abs(share[0]) <= 1:  # NaN is not
+            limit = self.plant.force_limit
+            raise UserError(f"expected an action of one number in [-1, 1], the share of {limit:g} N, got {action!r}")
+        self._state = moved = step(self.plant, self._state, self.plant.force_limit * float(share[0]))
         self._steps += 1
         state = np.array(moved)
         return self._observe(state), self._reward(moved), False, self._steps >= self.plant.steps, {"state": state}

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,8 @@ from dropout_uncertainty.stats import Interval, bootstrap_interval, first_crossi
 
 __all__ = [
     "BLOCKS", "BURN_IN", "EARLY", "LABELS", "LATE", "TARGET", "Agents", "Curves", "advantage", "batches", "block_table",
-    "check_quick", "compare", "crossing_table", "difference_table", "from_arrays", "from_record", "held_out_gap",
-    "held_out_table", "load", "median", "original", "results",
+    "check_quick", "compare", "crossing_table", "difference_table", "from_arrays", "from_records", "held_out_gap",
+    "held_out_table", "load", "median", "original", "paired", "results",
 ]  # fmt: skip
 
 #: How each agent is called in figures and tables.
@@ -48,7 +48,7 @@ class Curves:
         average: [R, T] mean reward of the last 1000 ticks, at every 500th tick: the curve of Figure 5.4.
         seeds: one per run.
         arrays: [R, T] per block of 500 ticks, as in ``experiment.Foraging``: reward, food, poison, blocked, ...
-        record: where they come from; None for the original program's curves.
+        records: where they come from; none for the original program's curves.
     """
 
     agent: str
@@ -56,7 +56,12 @@ class Curves:
     average: Float[np.ndarray, "R T"]
     seeds: tuple[int, ...]
     arrays: Mapping[str, np.ndarray]
-    record: Record | None = None
+    records: tuple[Record, ...] = ()
+
+    @property
+    def record(self) -> Record | None:
+        """The first of the records."""
+        return self.records[0] if self.records else None
 
     @property
     def label(self) -> str:
@@ -94,6 +99,12 @@ class Curves:
         values = self.arrays[name]
         return values[:, values.shape[1] // 2 :].astype(float).mean(1)
 
+    def only(self, seeds: Sequence[int]) -> "Curves":
+        """Return the runs of some seeds, in their order."""
+        rows = [self.seeds.index(seed) for seed in seeds]
+        arrays = {name: values[rows] for name, values in self.arrays.items() if name != "weights"}
+        return replace(self, average=self.average[rows], seeds=tuple(seeds), arrays=arrays)
+
 
 #: The agents of one config, by policy.
 Agents = dict[str, Curves]
@@ -110,26 +121,28 @@ def load(name: str, folder: Path | None = None, *, published: bool = True) -> Ag
     names = [name] if name in CONFIGS else [config for config in CONFIGS if config.startswith(f"{name}-")]
     agents: Agents = {}
     for config in names:
-        for record in records.find(EXPERIMENT, name=config, folder=folder):
-            if (max(record.seeds) < 100) == published:
-                agents |= from_record(config, record)
+        found = [r for r in records.find(EXPERIMENT, name=config, folder=folder) if (max(r.seeds) < 100) == published]
+        if found:
+            agents |= from_records(config, found)
     return agents
 
 
-def from_record(name: str, record: Record) -> Agents:
-    """Return the agents whose runs a record holds."""
-    return from_arrays(name, CONFIGS[name], record.arrays, record.seeds, record)
+def from_records(name: str, found: Sequence[Record]) -> Agents:
+    """Return the agents whose runs some records of one config hold, all seeds together, but for final weights."""
+    names = [key for key in found[0].arrays if key != "weights"]
+    arrays = {key: np.concatenate([record.arrays[key] for record in found]) for key in names}
+    return from_arrays(name, CONFIGS[name], arrays, [seed for record in found for seed in record.seeds], found)
 
 
 def from_arrays(
-    name: str, config: Config, arrays: Mapping[str, np.ndarray], seeds: Sequence[int], record: Record | None = None
+    name: str, config: Config, arrays: Mapping[str, np.ndarray], seeds: Sequence[int], found: Sequence[Record] = ()
 ) -> Agents:
     """Return the agents of a run, from the arrays that ``experiment.Foraging.result`` gives."""
     agents = {}
     for index, agent in enumerate(config.agents):
         mine = {key: values[:, index] for key, values in arrays.items()}
         average = mine["average_reward"].astype(float)
-        agents[agent.policy] = Curves(agent.policy, name, average, tuple(seeds), mine, record)
+        agents[agent.policy] = Curves(agent.policy, name, average, tuple(seeds), mine, tuple(found))
     return agents
 
 
@@ -165,9 +178,18 @@ def median(values: np.ndarray) -> Interval:
     return bootstrap_interval(lambda i: float(np.quantile(values[i], 0.5, method="inverted_cdf")), len(values))
 
 
+def paired(*curves: Curves) -> tuple[Curves, ...]:
+    """Return the runs of the seeds that all of some curves have, in one order."""
+    seeds = [seed for seed in curves[0].seeds if all(seed in other.seeds for other in curves)]
+    return tuple(one.only(seeds) for one in curves)
+
+
 def advantage(agents: Agents, first: str, second: str) -> Interval:
-    """Return how many times as many batches from the burn-in to ``TARGET`` the second agent needs, at the median."""
-    slow, fast = (batches(agents[name].crossings()) for name in (second, first))
+    """Return how many times as many batches from the burn-in to ``TARGET`` the second agent needs, at the median.
+
+    Of the seeds that both have; agents of one seed stay together.
+    """
+    slow, fast = (batches(curves.crossings()) for curves in paired(agents[second], agents[first]))
 
     def ratio(indices: np.ndarray) -> float:
         late, early = (np.quantile(values[indices], 0.5, method="inverted_cdf") for values in (slow, fast))
@@ -178,7 +200,7 @@ def advantage(agents: Agents, first: str, second: str) -> Interval:
 
 def compare(first: Curves, second: Curves, start: int, stop: int) -> Interval:
     """Return the difference first - second of the mean reward over a range of ticks, paired over seeds."""
-    return paired_difference(first.mean(start, stop), second.mean(start, stop))
+    return paired_difference(*(curves.mean(start, stop) for curves in paired(first, second)))
 
 
 def held_out_gap(curves: Curves) -> Float[np.ndarray, " R"]:
@@ -213,7 +235,7 @@ def results(folder: Path | None = None) -> list[Result]:
 
 def _results(curves: Curves, suffix: str) -> list[Result]:
     """Return the statistics of one agent; only the plain crossing of a separate world is judged."""
-    identifier, found = f"figure-5.4/{curves.agent}", [curves.record] if curves.record else []
+    identifier, found = f"figure-5.4/{curves.agent}", curves.records
     crossing = "median over runs of the first point of the curve at or above 1, from the end of the burn-in"
     ticks = curves.crossings()
     statistics = [

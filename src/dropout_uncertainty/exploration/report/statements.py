@@ -25,6 +25,7 @@ from dropout_uncertainty.exploration.report.analysis import (
     held_out_gap,
     load,
     median,
+    paired,
 )
 from dropout_uncertainty.judging.results import (
     MIN_REPETITIONS,
@@ -59,7 +60,7 @@ class Loaded:
         if not all(name in agents for name in policies):
             return None
         found = tuple(agents[name] for name in policies)
-        self.records += [curves.record for curves in found if curves.record]
+        self.records += [record for curves in found for record in curves.records]
         return found
 
 
@@ -151,7 +152,7 @@ def ex3(loaded: Loaded) -> list[Part]:
             part(f"gain of ε-greedy, batches of {unit}", theirs, "reward", "positive"),
         ]
     late = (BURN_IN + 1000 * BLOCK, int(thompson.ticks[-1]))
-    shares = [100 * curves.share("explored", *late) for curves in (thompson, greedy)]
+    shares = [100 * curves.share("explored", *late) for curves in paired(thompson, greedy)]
     only = t_interval(shares[1])
     return [
         *parts,
@@ -228,7 +229,7 @@ def ex6(loaded: Loaded) -> list[Part]:
     found = [loaded(name, "epsilon-greedy") for name in ("narrow", "wide", "wide-dropout")]
     if None in found:
         return [missing("networks of two widths, with and without dropout")]
-    narrow, wide, dropout = (curves[0] for curves in found if curves)
+    narrow, wide, dropout = paired(*(curves[0] for curves in found if curves))
     gaps = {name: held_out_gap(curves) for name, curves in (("narrow", narrow), ("wide", wide), ("dropout", dropout))}
     rewards = [curves.later("reward") for curves in (dropout, narrow)]
     errors = [curves.later("held_out_td_error") for curves in (dropout, narrow)]

@@ -1,0 +1,208 @@
+"""Learners for ``simulate`` around classifiers from elsewhere: scikit-learn's, torch modules with dropout, ensembles.
+
+Each is given the data once (``hold``) and is then a ``loop.Learner`` with one replica. Its random numbers are a
+function of the seed and of the number of labelled points, so that a simulation can go on from a checkpoint; the global
+random state is not moved.
+"""
+
+import copy
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from dropout_uncertainty import rng
+from dropout_uncertainty.active_learning.inputs import whole
+from dropout_uncertainty.active_learning.loop import Learner
+
+__all__ = ["DropoutLearner", "EnsembleLearner", "SklearnLearner"]
+
+#: Images that go through a network at a time when nothing is learned; bounds the memory.
+EVALUATION_BATCH = 1_000
+
+
+def _number(seed: int, *path: str | int) -> int:
+    """Return a seed for the random numbers of another library."""
+    return int(torch.randint(2**31, (), generator=rng.generator(seed, *path)))
+
+
+class Holder(Learner):
+    """What the learners share: the data, the number of classes and a seed."""
+
+    images: Tensor
+    labels: Int[Tensor, " N"]
+    classes: int
+    seed: int
+
+    def hold(self, images: Tensor, labels: Int[Tensor, " N"], classes: int, seed: int) -> None:
+        """Take the data set: N images or rows of features, labels from 0 to ``classes`` - 1."""
+        self.images, self.labels, self.classes, self.seed = images, labels, classes, seed
+
+
+class SklearnLearner(Holder):
+    """Any classifier with ``fit(x, y)`` and ``predict_proba(x)``, such as scikit-learn's; images become rows.
+
+    It has one set of weights, S = 1, so BALD and the like need an ``EnsembleLearner`` around it. Each fit is of a copy;
+    where a ``random_state`` is None it is set.
+
+    Raises:
+        ValueError: if it is no classifier.
+    """
+
+    def __init__(self, classifier: Any) -> None:
+        if isinstance(classifier, type) or not (hasattr(classifier, "fit") and hasattr(classifier, "predict_proba")):
+            raise ValueError(
+                f"expected a classifier with fit and predict_proba, got {classifier!r}: a class has to be called, some "
+                "classifiers want probability=True, and regression is out of scope"
+            )
+        self.classifier = classifier
+
+    def __repr__(self) -> str:
+        settings = getattr(self.classifier, "get_params", lambda: vars(self.classifier))()
+        return f"SklearnLearner({type(self.classifier).__qualname__}, {settings})"
+
+    def fit(self, labelled: Int[Tensor, "1 n"]) -> None:
+        """Train a fresh copy on the given points."""
+        points = labelled[0]
+        self.fitted = copy.deepcopy(self.classifier)
+        states = {n: v for n, v in getattr(self.fitted, "get_params", dict)().items() if n.endswith("random_state")}
+        if free := [name for name, value in states.items() if value is None]:
+            self.fitted.set_params(**dict.fromkeys(free, _number(self.seed, "fit", len(points))))
+        self.fitted.fit(self._rows(points), self.labels[points].numpy())
+
+    def log_probs(self, candidates: Int[Tensor, "1 M"], draws: int) -> Float[Tensor, "1 1 M C"]:
+        """Return log-probabilities, those of classes without a labelled point -inf."""
+        seen = torch.as_tensor(self.fitted.classes_)
+        probs = torch.zeros(candidates.shape[1], self.classes, dtype=torch.float64)
+        probs[:, seen] = torch.as_tensor(
+            np.asarray(self.fitted.predict_proba(self._rows(candidates[0]))), dtype=probs.dtype
+        )
+        return probs.log()[None, None]
+
+    def _rows(self, points: Int[Tensor, " n"]) -> np.ndarray:
+        return self.images[points].flatten(1).numpy()
+
+
+class DropoutLearner(Holder):
+    """A torch module with dropout, trained by Adam on the cross-entropy; a weight draw keeps the dropout active.
+
+    ``make()`` returns the module, which takes [B, ...] images as they are in the data set, in its own precision, and
+    returns logits [B, C]. Only its ``nn.Dropout`` layers are active when it draws; batch normalisation never is. Each
+    image has masks of its own.
+
+    Raises:
+        ValueError: if a setting is below 1, or (in ``fit``) if the module has no dropout layer or the wrong output.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[], nn.Module],
+        *,
+        epochs: int = 50,
+        batch: int = 32,
+        learning_rate: float = 1e-3,
+        decay: float = 0.0,
+        device: str = "cpu",
+    ) -> None:
+        self.make, self.device, self.learning_rate, self.decay = make, device, learning_rate, decay
+        self.epochs, self.batch = whole(epochs, "the number of epochs"), whole(batch, "the batch")
+        if isinstance(make, nn.Module) or not callable(make):
+            raise ValueError("expected a function that makes a new module, such as `lambda: nn.Sequential(...)`")
+
+    def __repr__(self) -> str:
+        settings = f"{self.epochs}, {self.batch}, {self.learning_rate}, {self.decay}"
+        with self._random(0):
+            return f"DropoutLearner({self.make()!r}, {settings})"
+
+    @contextmanager
+    def _random(self, *path: str | int) -> Iterator[None]:
+        """Give torch's global random state over to a stream of ours for a while: modules draw from it."""
+        with torch.random.fork_rng(devices=[] if self.device == "cpu" else None):
+            torch.manual_seed(_number(getattr(self, "seed", 0), "torch", *path))
+            yield
+
+    def fit(self, labelled: Int[Tensor, "1 n"]) -> None:
+        """Train a new module on the given points."""
+        points, self.size, self.calls = labelled[0], labelled.shape[1], 0
+        with self._random("fit", len(points)):
+            self.network = self.make().to(self.device)
+            adam = torch.optim.Adam(self.network.parameters(), lr=self.learning_rate, weight_decay=self.decay)
+            for _ in range(self.epochs):
+                # Batches of nearly equal size: batch normalisation cannot do with a single image left over.
+                order = points[torch.randperm(len(points))]
+                for part in order.tensor_split(math.ceil(len(points) / self.batch)):
+                    self.network.train()
+                    loss = F.cross_entropy(self._logits(part), self.labels[part].to(self.device))
+                    adam.zero_grad()
+                    loss.backward()
+                    adam.step()
+        self.network.eval()
+        self.dropouts = [layer for layer in self.network.modules() if isinstance(layer, nn.modules.dropout._DropoutNd)]
+        if not self.dropouts:
+            raise ValueError("weight draws need an nn.Dropout layer, and the module has none (F.dropout does not show)")
+
+    @torch.inference_mode()
+    def log_probs(self, candidates: Int[Tensor, "1 M"], draws: int) -> Float[Tensor, "1 S M C"]:
+        """Return log-probabilities under ``draws`` weight draws, or (0) with all dropout off."""
+        self.calls += 1
+        for layer in self.dropouts:
+            layer.train(draws > 0)
+        with self._random("predict", self.size, self.calls):
+            parts = candidates[0].split(EVALUATION_BATCH)
+            outputs = [torch.cat([self._logits(part).log_softmax(-1) for part in parts]) for _ in range(max(draws, 1))]
+        return torch.stack(outputs)[None].cpu()
+
+    def _logits(self, points: Int[Tensor, " B"]) -> Float[Tensor, "B C"]:
+        weight = next(self.network.parameters())
+        logits = self.network(self.images[points].to(weight.device, weight.dtype))
+        if logits.shape != (len(points), self.classes):
+            raise ValueError(
+                f"expected logits [{len(points)}, {self.classes}], images × classes, got {list(logits.shape)}"
+            )
+        if (logits.detach() >= 0).all() and (logits.detach().sum(-1) - 1).abs().max() < 1e-3:
+            raise ValueError("the module ends in a softmax: leave it out, so that logits come out")
+        return logits
+
+
+class EnsembleLearner(Holder):
+    """Several copies of a learner, which differ in their seeds; each is one draw, whatever number is asked for.
+
+    Args:
+        learner: an ``SklearnLearner`` or a ``DropoutLearner``, whose deterministic pass is taken.
+        members: number of copies.
+        bootstrap: whether each trains on a resample of the labelled points; without it, copies of a classifier that
+            has no randomness of its own are all the same.
+    """
+
+    def __init__(self, learner: Holder, members: int = 5, *, bootstrap: bool = False) -> None:
+        if not isinstance(learner, Holder):
+            raise ValueError(f"expected an SklearnLearner or a DropoutLearner, got {learner!r}")
+        self.members = [copy.copy(learner) for _ in range(whole(members, "the number of members"))]
+        self.bootstrap = bootstrap
+
+    def __repr__(self) -> str:
+        return f"EnsembleLearner({self.members[0]!r}, {len(self.members)}, bootstrap={self.bootstrap})"
+
+    def hold(self, images: Tensor, labels: Int[Tensor, " N"], classes: int, seed: int) -> None:
+        """Take the data set, and give each member a seed of its own."""
+        super().hold(images, labels, classes, seed)
+        for index, member in enumerate(self.members):
+            member.hold(images, labels, classes, _number(seed, "member", index))
+
+    def fit(self, labelled: Int[Tensor, "1 n"]) -> None:
+        """Train all members."""
+        size = labelled.shape[1]
+        for index, member in enumerate(self.members):
+            generator = rng.generator(self.seed, "bootstrap", index, size)
+            drawn = torch.randint(size, (size,), generator=generator) if self.bootstrap else slice(None)
+            member.fit(labelled[:, drawn])
+
+    def log_probs(self, candidates: Int[Tensor, "1 M"], draws: int) -> Float[Tensor, "1 S M C"]:
+        """Return log-probabilities of each member."""
+        return torch.cat([member.log_probs(candidates, 0) for member in self.members], 1)

@@ -1,0 +1,163 @@
+"""When do weight draws save labels? From the records of the four pools to errors, noise and paired differences."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from dropout_uncertainty.active_learning import mnist
+from dropout_uncertainty.active_learning.experiment import CONFIGS, POOL_ROWS, SENSITIVITY, task_of
+from dropout_uncertainty.active_learning.noisy_pools import Task
+from dropout_uncertainty.active_learning.report.analysis import LABELS, Row, load_rows
+from dropout_uncertainty.judging.results import Result, measured
+from dropout_uncertainty.stats import Interval, mean_estimate, t_interval
+
+__all__ = [
+    "CONTRASTS", "END", "NOISE", "RANGE", "Contrast", "acquired", "contrasts", "load", "mean_error", "noise", "results",
+    "sensitivity", "which_for_which",
+]  # fmt: skip
+
+#: Acquired points over which the test error is averaged, and the last three points of the curves.
+RANGE, END = (100, 300), (280, 300)
+#: What is wasted in each kind of pool.
+NOISE = {"ambiguous": "ambiguous images", "repeated": "repetitions", "irrelevant": "irrelevant images"}
+#: The comparisons of the chapter: pool, row, row that it is compared with.
+CONTRASTS: tuple[tuple[str, str, str], ...] = (
+    ("ambiguous", "dropout/bald", "softmax/max-entropy"),
+    *(
+        ("ambiguous", row, other)
+        for row, other in (
+            ("dropout/bald", "random"),
+            ("dropout/max-entropy", "softmax/max-entropy"),
+            ("softmax/max-entropy", "random"),
+            ("dropout/variation-ratios", "softmax/least-confidence"),
+            ("dropout/mean-std", "dropout/bald"),
+            ("dropout/bald", "ensemble/bald"),
+        )
+    ),
+    ("clean", "dropout/max-entropy", "softmax/max-entropy"),
+    ("clean", "dropout/bald", "softmax/max-entropy"),
+    ("clean", "dropout/bald", "ensemble/bald"),
+    ("repeated", "dropout/bald", "softmax/max-entropy"),
+    ("repeated", "dropout/batch-bald", "dropout/bald"),
+    ("repeated", "dropout/power-bald", "dropout/bald"),
+    ("irrelevant", "dropout/bald", "softmax/max-entropy"),
+)
+
+
+class Contrast(NamedTuple):
+    """The test error in % of two rows on one pool, paired over the seeds that both have."""
+
+    kind: str
+    first: str
+    second: str
+    errors: tuple[Float[np.ndarray, " R"], Float[np.ndarray, " R"]]
+
+    @property
+    def difference(self) -> Float[np.ndarray, " R"]:
+        """First minus second in points of %, one value per seed."""
+        return self.errors[0] - self.errors[1]
+
+    @property
+    def label(self) -> str:
+        """The two rows in words."""
+        return f"{LABELS[self.first]} − {LABELS[self.second]}"
+
+
+def load(family: str = "pools", folder: Path | None = None, *, published: bool = True) -> dict[str, dict[str, Row]]:
+    """Return the recorded rows of each kind of pool; see ``analysis.load_rows``."""
+    return {kind: load_rows(f"{family}/{kind}", folder, published=published) for kind in POOL_ROWS}
+
+
+def mean_error(row: Row, points: tuple[int, int] = RANGE) -> Float[np.ndarray, " R"]:
+    """Return each run's mean test error in % over a range of acquired points, or over all that a shorter run has."""
+    numbers = row.labels - row.labels[0]
+    wanted = (numbers >= points[0]) & (numbers <= points[1])
+    return row.error[:, wanted if wanted.any() else slice(None)].mean(1)
+
+
+def noise(row: Row) -> Float[np.ndarray, " R"]:
+    """Return the share of what each run acquired that was noise or a repetition; not a number in a clean pool."""
+    if any("wasted" not in record.arrays for record in row.records):
+        return np.full(len(row.seeds), np.nan)
+    return row.stack("wasted").astype(float).mean(1)
+
+
+def contrast(pools: Mapping[str, Mapping[str, Row]], kind: str, first: str, second: str,
+             points: tuple[int, int] = RANGE) -> Contrast:  # fmt: skip
+    """Return a comparison over the seeds that both rows have; none of them where a row has not been run."""
+    rows = [pools[kind].get(name) for name in (first, second)]
+    common = sorted(set.intersection(*(set(row.seeds) if row else set() for row in rows)))
+    one, two = (
+        mean_error(r, points)[[r.seeds.index(s) for s in common]] if r and common else np.zeros(0) for r in rows
+    )
+    return Contrast(kind, first, second, (one, two))
+
+
+def contrasts(pools: Mapping[str, Mapping[str, Row]]) -> Iterator[Contrast]:
+    """Return the chapter's comparisons, those that have no runs yet included."""
+    return (contrast(pools, *names) for names in CONTRASTS)
+
+
+def which_for_which(pools: Mapping[str, Mapping[str, Row]]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells of the table: one line per row, its error and its share of noise on each pool."""
+    heads = ["", *(f"{kind}: error [%]{', noise' if kind in NOISE else ''}" for kind in POOL_ROWS)]
+    planned = {kind: ("random", *rows) for kind, rows in POOL_ROWS.items()}
+    names = [name for name in LABELS if any(name in rows for rows in planned.values())]
+
+    def cell(kind: str, name: str) -> str | None:
+        if name not in planned[kind]:
+            return None
+        return "not run yet" if name not in pools[kind] else _cell(pools[kind][name])
+
+    return heads, [[LABELS[name], *(cell(kind, name) for kind in POOL_ROWS)] for name in names]
+
+
+def _cell(row: Row) -> str:
+    interval, share = t_interval(mean_error(row)), noise(row).mean()
+    text = f"{interval.value:.1f}" + (f" [{interval.low:.1f}, {interval.high:.1f}]" if interval.n > 1 else "")
+    return f"{text} ({interval.n})" + ("" if np.isnan(share) else f", {share:.0%}")
+
+
+def sensitivity(folder: Path | None = None) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: BALD over draws minus Max Entropy of one pass on ambiguous pools, setting by setting."""
+    main = load_rows("pools/ambiguous", folder)
+    settings = {"as above": main}
+    for change, (_, names) in SENSITIVITY.items():
+        # A row that the change does not concern is that of the main runs.
+        same = {name: row for name, row in main.items() if name not in names}
+        settings[change] = same | load_rows(f"pools-sensitivity/{change}", folder)
+    cells: list[list[object]] = []
+    for setting, rows in settings.items():
+        pair = contrast({"ambiguous": rows}, *CONTRASTS[0])
+        found = mean_estimate(pair.difference)
+        difference = f"{found.value:.1f} [{found.low:.1f}, {found.high:.1f}]" if found.n else "not run yet"
+        cells.append([setting, difference, found.n])
+    return ["", "difference [points]", "seeds"], cells
+
+
+def acquired(kind: str, row: Row) -> tuple[Task, Int[np.ndarray, " n"]]:
+    """Return what the first run of a row had to choose from, and what it asked for after the initial points."""
+    task = task_of(CONFIGS[row.config], row.seeds[0], mnist.load())
+    return task, row.stack("points")[0, len(task.split.initial) :]
+
+
+def results(folder: Path | None = None) -> list[Result]:
+    """Return ``pools/<pool>/<row>/error`` and ``/noise``."""
+    return [
+        result for kind, rows in load(folder=folder).items() for row in rows.values() for result in _results(kind, row)
+    ]
+
+
+def _results(kind: str, row: Row) -> Iterator[Result]:
+    def result(what: str, interval: Interval, unit: str, statistic: str) -> Result:
+        return measured(
+            f"pools/{kind}/{row.name}/{what}", interval, row.records, unit=unit, statistic=statistic, config=row.config
+        )
+
+    error = t_interval(mean_error(row))
+    yield result("error", error, "%", f"mean test error over {RANGE[0]} to {RANGE[1]} acquired points")
+    if kind in NOISE:
+        yield result("noise", t_interval(100 * noise(row)), "%", f"share of {NOISE[kind]} among the acquired points")

@@ -1,0 +1,200 @@
+"""Active learning on a data set whose labels are all known: how many of them would have been enough?"""
+
+import hashlib
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+from torch import Tensor
+from tqdm import tqdm
+
+from dropout_uncertainty import rng
+from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS
+from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
+from dropout_uncertainty.active_learning.inputs import indices, numbers, whole
+from dropout_uncertainty.active_learning.loop import Learner, acquire, predictions
+from dropout_uncertainty.active_learning.pools import Pool
+
+__all__ = ["Curve", "simulate"]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What a simulation found.
+
+    Attributes:
+        acquisition: the acquisition function.
+        labels: [T] number of labelled points.
+        error: [T] test error in % after training on them, of the deterministic pass (an ensemble: of its mean).
+        points: [labels[-1]] indices of the labelled points, in the order of labelling.
+    """
+
+    acquisition: str
+    labels: Int[np.ndarray, " T"]
+    error: Float[np.ndarray, " T"]
+    points: Int[np.ndarray, " n"]
+
+    def __str__(self) -> str:
+        """Return the last point of the curve in words."""
+        return f"{self.acquisition}: {self.labels[-1]} labels, test error {self.error[-1]:.1f} %"
+
+    def plot(self, ax: Any, **line: Any) -> Any:
+        """Draw the curve on a matplotlib axes and return the axes."""
+        ax.plot(self.labels, self.error, **{"label": self.acquisition, **line})
+        ax.set(xlabel="labels", ylabel="test error [%]")
+        return ax
+
+
+def simulate(
+    learner: Learner,
+    images: ArrayLike,
+    labels: ArrayLike,
+    *,
+    acquisition: str = "bald",
+    count: int = 10,
+    rounds: int = 20,
+    draws: int = 20,
+    per_class: int = 2,
+    test: float | ArrayLike = 0.25,
+    subset: int | None = None,
+    seed: int = 0,
+    checkpoint: str | Path | None = None,
+    progress: bool = True,
+) -> Curve:
+    """Grow a training set round by round, as a person who labels on demand would, and return the test errors.
+
+    Args:
+        learner: ``SklearnLearner``, ``DropoutLearner``, ``EnsembleLearner``, or any ``loop.Learner`` (with one replica)
+            over the same data set.
+        images: N images or rows of features, [N, ...]: array, tensor or data frame.
+        labels: N labels of any type that has an order, such as strings; for classification only.
+        acquisition: "random" or a name in ``ACQUISITIONS`` or ``BATCH_ACQUISITIONS``.
+        count: points labelled in each round; the last ones are fewer if the pool runs out, and then it ends.
+        rounds: acquisition rounds.
+        draws: weight draws that score a candidate; 0 is the deterministic pass.
+        per_class: labelled points of each class at the start (all of them in the pool, if there are fewer).
+        test: the share of points held out to measure the error, or their indices, or a mask.
+        subset: random candidates scored in each round; None: all.
+        seed: of the split, the learner and the acquisition.
+        checkpoint: a file that is written after each round; a call with the same arguments continues from it, also with
+            more rounds. A learner of your own is told from others by its ``repr`` if it has one, else by its type.
+        progress: whether to show a progress bar.
+
+    Raises:
+        ValueError: if the data are not as above, or the checkpoint is damaged or of another simulation.
+    """
+    if acquisition not in (names := ["random", *ACQUISITIONS, *BATCH_ACQUISITIONS]):
+        raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {', '.join(names)}")
+    whole(count, "the count of points to acquire")
+    whole(rounds, "the number of rounds", 0)
+    features, targets, classes = _data(images, labels)
+    tested, pool = _split(targets, test, whole(per_class, "the number of initial points per class"), seed)
+    if isinstance(learner, type) or not isinstance(learner, Learner):
+        raise ValueError(
+            f"expected a learner with fit and log_probs, such as SklearnLearner(classifier), got {learner!r}"
+        )
+    if hasattr(learner, "hold"):
+        learner.hold(features, targets, classes, seed)
+    settings = (acquisition, count, draws, subset, seed, targets.tolist(), tested.tolist(), pool.labelled.tolist())
+    saved = _Checkpoint(checkpoint, _identity(learner, features, *settings))
+    sizes, errors = saved.restore(pool)
+    with tqdm(total=rounds + 1, initial=len(errors), desc=acquisition, unit="round", disable=not progress) as bar:
+        while len(errors) <= rounds:
+            learner.fit(pool.labelled[None])
+            sizes.append(len(pool.labelled))
+            errors.append(_error(learner, tested, targets))
+            bar.set_postfix_str(f"{sizes[-1]} labels, error {errors[-1]:.1f} %", refresh=False)
+            bar.update()
+            left = int(pool.available.sum())
+            if left == 0 or len(errors) > rounds:
+                break
+            streams = [rng.generator(seed, "policy", acquisition, len(errors))]
+            acquire(learner, [pool], acquisition, min(count, left), draws=draws, generators=streams, subset=subset)
+            saved.write(pool, sizes, errors)
+    sizes, errors = sizes[: rounds + 1], errors[: rounds + 1]  # the checkpoint may be of more rounds
+    return Curve(acquisition, np.array(sizes), np.array(errors), pool.labelled[: sizes[-1]].numpy())
+
+
+def _data(images: ArrayLike, labels: ArrayLike) -> tuple[Tensor, Int[Tensor, " N"], int]:
+    """Return features, labels as numbers from 0, and the number of classes."""
+    features = numbers(images, "images or features [N, ...]").cpu()
+    given = np.asarray(labels.cpu() if isinstance(labels, Tensor) else labels)
+    if given.ndim != 1 or features.ndim < 2 or len(given) != len(features):
+        shapes = f"{list(features.shape)} and {list(given.shape)}"
+        raise ValueError(f"expected images or features [N, ...] and one label for each, [N], got shapes {shapes}")
+    if features.is_floating_point() and not features.isfinite().all():
+        raise ValueError("the images or features have values that are NaN or infinite: fill them or leave them out")
+    if given.dtype.kind == "f" and not (given == np.floor(given)).all():
+        raise ValueError("expected labels of classes, got fractions or NaN: a regression is out of scope")
+    try:
+        names, targets = np.unique(given, return_inverse=True)
+    except TypeError:
+        raise ValueError("expected labels of one type, got several: is one missing?") from None
+    if len(names) < 2:
+        raise ValueError(f"expected labels of at least two classes, got {len(names)}")
+    return features, torch.from_numpy(targets).long(), len(names)
+
+
+def _split(targets: Int[Tensor, " N"], test: float | ArrayLike, per_class: int, seed: int) -> tuple[Tensor, Pool]:
+    """Return the test points, and the pool with the first points of each class labelled."""
+    total = len(targets)
+    order = torch.randperm(total, generator=rng.generator(seed, "data"))
+    share = round(test * total) if isinstance(test, float) else None
+    tested = indices(test, "the test points").unique() if share is None else order[: max(share, 0)]
+    held_out = torch.zeros(total, dtype=torch.bool)
+    if not 0 < len(tested) < total or tested.max() >= total:
+        raise ValueError(f"expected a share between 0 and 1, or indices below {total}, as test points, got {test!r}")
+    held_out[tested] = True
+    rest = order[~held_out[order]]
+    first = [rest[targets[rest] == label][:per_class] for label in targets.unique()]
+    initial = torch.cat(first)
+    return tested, Pool(initial, rest[~torch.isin(rest, initial)])
+
+
+def _error(learner: Learner, tested: Int[Tensor, " M"], targets: Int[Tensor, " N"]) -> float:
+    """Return the test error in %."""
+    parts = predictions(learner, tested[None], 0)
+    predicted = torch.cat([log_probs[0].double().logsumexp(0).argmax(-1).cpu() for log_probs in parts])
+    return 100 * float((predicted != targets[tested]).double().mean())
+
+
+class _Checkpoint:
+    """The measurements and the acquired points so far, in a file that is replaced as a whole; None: nowhere."""
+
+    def __init__(self, path: str | Path | None, identity: str) -> None:
+        self.path, self.identity = path and Path(path), identity
+
+    def write(self, pool: Pool, sizes: list[int], errors: list[float]) -> None:
+        if not self.path:
+            return
+        state = {"identity": self.identity, "labelled": pool.labelled, "sizes": sizes, "errors": errors}
+        temporary = self.path.with_name(f"{self.path.name}.tmp")
+        torch.save(state, temporary)
+        temporary.replace(self.path)
+
+    def restore(self, pool: Pool) -> tuple[list[int], list[float]]:
+        """Label in the pool what had been, and return the number of labels and the errors so far."""
+        if not self.path or not self.path.exists():
+            return [], []
+        try:
+            state = torch.load(self.path, weights_only=True)
+            identity = state["identity"]
+        except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError, IndexError):
+            raise ValueError(f"{self.path} is damaged or no checkpoint of a simulation: move it away") from None
+        if identity != self.identity:
+            raise ValueError(f"{self.path} is of another simulation (data, learner or settings): name another file")
+        pool.acquire(state["labelled"][len(pool.labelled) :])
+        return state["sizes"], state["errors"]
+
+
+def _identity(learner: Learner, features: Tensor, *settings: Any) -> str:
+    """Return a checksum of everything that a simulation depends on but its number of rounds."""
+    plain = type(learner).__repr__ is object.__repr__  # it would show an address in memory
+    digest = hashlib.sha256(repr((type(learner).__qualname__ if plain else repr(learner), *settings)).encode())
+    digest.update(features.contiguous().flatten().view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,249 @@
+"""A simulation on any data with any classifier: right counts, the same when resumed, and one sentence for the rest."""
+
+import inspect
+from dataclasses import fields
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from dropout_uncertainty import rng
+from dropout_uncertainty.active_learning import DropoutLearner, EnsembleLearner, SklearnLearner, simulate
+from dropout_uncertainty.active_learning.loop import acquire
+from dropout_uncertainty.active_learning.pools import Pool
+
+NAMES = np.array(["ant", "bee", "cow"])
+
+
+class Nearest:
+    """A classifier as scikit-learn has them: probabilities fall with the distance from the means of the classes."""
+
+    noise = 0.0
+    seed = None
+
+    def get_params(self):
+        return {"noise": self.noise, "random_state": self.seed}
+
+    def set_params(self, random_state):
+        self.seed = random_state
+
+    def fit(self, x, y):
+        x = x + np.random.default_rng(self.seed).normal(size=x.shape) * self.noise
+        self.classes_ = np.unique(y)
+        self.means = np.stack([x[y == c].mean(0) for c in self.classes_])
+
+    def predict_proba(self, x):
+        distance = ((x[:, None] - self.means) ** 2).sum(-1)
+        likely = np.exp(distance.min(-1, keepdims=True) - distance)
+        return likely / likely.sum(-1, keepdims=True)
+
+
+@pytest.fixture
+def data():
+    """Return 60 colour images of 2 × 2 pixels whose brightness tells the class, and the names of the classes."""
+    generator = np.random.default_rng(100)
+    classes = np.arange(60) % 3
+    return classes[:, None, None, None] + 0.1 * generator.normal(size=(60, 3, 2, 2)), NAMES[classes]
+
+
+def network():
+    return nn.Sequential(nn.Flatten(), nn.Linear(12, 30), nn.BatchNorm1d(30), nn.ReLU(), nn.Dropout(), nn.Linear(30, 3))
+
+
+def dropout_learner():
+    return DropoutLearner(network, epochs=15, learning_rate=0.02)
+
+
+def noisy():
+    nearest = Nearest()
+    nearest.noise = 0.5
+    return SklearnLearner(nearest)
+
+
+LEARNERS = {
+    "one": lambda: SklearnLearner(Nearest()),
+    "dropout": dropout_learner,
+    "ensemble": lambda: EnsembleLearner(noisy(), 3),
+    "bootstrap": lambda: EnsembleLearner(SklearnLearner(Nearest()), 3, bootstrap=True),
+}
+
+
+def same(first, second):
+    return all(np.array_equal(getattr(first, f.name), getattr(second, f.name)) for f in fields(first))
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_every_learner_learns_until_the_pool_runs_out(data, name):
+    curve = simulate(LEARNERS[name](), *data, acquisition="max-entropy", count=10, progress=False)
+    assert curve.labels.tolist() == [6, 16, 26, 36, 45]
+    assert len(np.unique(curve.points)) == 45
+    assert sorted(data[1][curve.points[:6]]) == sorted([*NAMES, *NAMES])
+    assert curve.error[-1] == 0
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_resumed_equals_uninterrupted(data, name, tmp_path):
+    options = {"count": 5, "draws": 3, "progress": False, "test": 0.5}
+    whole = simulate(LEARNERS[name](), *data, **options, rounds=3)
+    path = tmp_path / "digits"
+    short = simulate(LEARNERS[name](), *data, **options, rounds=2, checkpoint=path)
+    assert same(simulate(LEARNERS[name](), *data, **options, rounds=3, checkpoint=path), whole)
+    assert short.points.tolist() == whole.points[:16].tolist()
+    assert same(simulate(LEARNERS[name](), *data, **options, rounds=2, checkpoint=path), short)
+    with pytest.raises(ValueError, match="of another simulation"):
+        simulate(LEARNERS[name](), *data, **{**options, "draws": 4}, checkpoint=path)
+    with pytest.raises(ValueError, match="of another simulation"):
+        simulate(LEARNERS[name](), data[0] + 1, data[1], **options, checkpoint=path)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ValueError, match="is damaged or no checkpoint"):
+        simulate(LEARNERS[name](), *data, **options, checkpoint=path)
+
+
+def test_a_killed_simulation_goes_on(data, tmp_path):
+    class Killed(SklearnLearner):
+        fits = 0
+
+        def fit(self, labelled):
+            self.fits += 1
+            if self.fits == 3:
+                raise KeyboardInterrupt
+            super().fit(labelled)
+
+    options = {"acquisition": "least-confidence", "rounds": 3, "progress": False, "checkpoint": tmp_path / "c"}
+    with pytest.raises(KeyboardInterrupt):
+        simulate(Killed(Nearest()), *data, **options)
+    resumed = Killed(Nearest())
+    assert simulate(resumed, *data, **options).labels.tolist() == [6, 16, 26, 36]
+    assert resumed.fits == 2
+
+
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_types_of_data_make_no_difference(data):
+    images, labels = data[0].reshape(60, 12).astype(np.float32), data[1]
+    number = np.unique(labels, return_inverse=True)[1]
+    bare = simulate(SklearnLearner(Nearest()), images, labels, rounds=1, progress=False)
+    for x, y in [
+        (torch.from_numpy(images).requires_grad_(), torch.from_numpy(number)),
+        (images.tolist(), labels.tolist()),
+        (images[::-1][::-1], number.astype(np.int8)),
+        (np.asfortranarray(images).astype(np.float64), number.astype(np.float32)),
+        (data[0].astype(np.float32), labels.astype(object)),
+    ]:
+        assert same(simulate(SklearnLearner(Nearest()), x, y, rounds=1, progress=False), bare)
+    coarse = (images * 50 + 50).astype(np.uint8)
+    assert simulate(dropout_learner(), coarse, data[1], rounds=1, progress=False).labels.tolist() == [6, 16]
+    assert simulate(SklearnLearner(Nearest()), coarse, number > 0, rounds=1, progress=False).labels.tolist() == [4, 14]
+
+
+def test_a_class_may_have_no_label_and_the_test_set_may_be_chosen(data):
+    images, labels = data
+    mask = np.arange(60) < 30
+    mask[labels == "cow"] = True  # all of one class
+    curve = simulate(SklearnLearner(Nearest()), images, labels, test=mask, rounds=0, progress=False)
+    assert curve.labels.tolist() == [4]
+    assert not mask[curve.points].any()
+    assert curve.error[0] == pytest.approx(100 * (labels[mask] == "cow").mean())
+    chosen = simulate(SklearnLearner(Nearest()), images, labels, test=mask.nonzero()[0], rounds=0, progress=False)
+    assert same(chosen, curve)
+
+
+def test_a_learner_of_ones_own_and_the_picture(data):
+    class Own:
+        def fit(self, labelled):
+            self.size = labelled.shape[1]
+
+        def log_probs(self, candidates, draws):
+            logits = np.arange(3.0) * candidates.numpy()[:, None, :, None].repeat(max(draws, 1), 1)
+            return torch.from_numpy(logits).log_softmax(-1).numpy()
+
+    curve = simulate(Own(), *data, acquisition="max-entropy", rounds=2, progress=False)
+    assert str(curve) == f"max-entropy: 26 labels, test error {curve.error[-1]:.1f} %"
+    _, ax = plt.subplots()
+    np.testing.assert_array_equal(curve.plot(ax, label="mine").lines[0].get_xydata()[:, 0], [6, 16, 26])
+    assert ax.get_legend_handles_labels()[1] == ["mine"]
+    plt.close()
+
+
+def test_weight_draws_are_dropout_alone(data):
+    learner = dropout_learner()
+    learner.hold(torch.from_numpy(data[0]), torch.arange(60) % 3, 3, 100)
+    learner.fit(torch.arange(12)[None])
+    alone, among = learner.log_probs(torch.tensor([[20]]), 0), learner.log_probs(torch.arange(20, 40)[None], 0)
+    torch.testing.assert_close(alone[:, :, 0], among[:, :, 0])  # batch normalisation is not in training mode
+    draws = learner.log_probs(torch.arange(20, 40)[None], 50)
+    assert draws.shape == (1, 50, 20, 3)
+    assert draws.exp().std(1).mean() > 0.01
+
+
+def test_batch_normalisation_in_training_mode_gets_a_hint(data):
+    class Forgetful:
+        def fit(self, labelled):
+            self.network = network()
+
+        def log_probs(self, candidates, draws):
+            return self.network(torch.randn(candidates.shape[1], 12)).log_softmax(-1)[None, None]
+
+    learner, pools = Forgetful(), [Pool([0], range(1, 9))]
+    with torch.random.fork_rng():
+        learner.fit(None)
+        with pytest.warns(UserWarning, match=r"batch normalisation in training mode.*call eval"):
+            acquire(learner, pools, "max-entropy", 2, draws=0, generators=[rng.generator(100)])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"labels": np.linspace(0, 1, 60)}, "a regression is out of scope"),
+        ({"labels": np.array([0.0, np.nan] * 30)}, "fractions or NaN"),
+        ({"labels": np.array([None, "ant"] * 30, dtype=object)}, "one type, got several"),
+        ({"labels": np.zeros(60)}, "at least two classes, got 1"),
+        ({"labels": np.eye(3)[np.arange(60) % 3]}, "one label for each"),
+        ({"labels": np.arange(59) % 3}, r"got shapes \[60, 2\] and \[59\]"),
+        ({"images": np.full((60, 2), np.nan)}, "NaN or infinite"),
+        ({"images": [[1], [2, 3]] * 30}, "real numbers in one array"),
+        ({"images": np.array([["a"]] * 60)}, "real numbers in one array"),
+        ({"images": np.arange(60)}, "one label for each"),
+        ({"test": 1.0}, "share between 0 and 1"),
+        ({"test": -0.1}, "share between 0 and 1"),
+        ({"test": [60]}, "indices below 60"),
+        ({"test": [-1]}, "count from 0, got -1"),
+        ({"acquisition": "entropy"}, "unknown acquisition function 'entropy'"),
+        ({"count": 0}, "at least 1, got 0"),
+        ({"rounds": -1}, "at least 0, got -1"),
+        ({"draws": -1}, "at least 0, got -1"),
+        ({"subset": 0}, "at least 1, got 0"),
+        ({"learner": SklearnLearner}, "expected a learner"),
+        ({"learner": DropoutLearner(lambda: nn.Linear(2, 3))}, "3 classes|images × classes|Dropout"),
+    ],
+)
+def test_one_sentence_for_what_cannot_be_done(data, change, message):
+    given = {"learner": SklearnLearner(Nearest()), "images": data[0].reshape(60, 12)[:, :2], "labels": data[1]} | change
+    with pytest.raises(ValueError, match=message):
+        simulate(**given, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("layers", "message"),
+    [
+        ([nn.Dropout(), nn.Linear(12, 2)], r"logits \[6, 3\], images × classes, got \[6, 2\]"),
+        ([nn.Dropout(), nn.Linear(12, 3), nn.Softmax(-1)], "ends in a softmax"),
+        ([nn.Linear(12, 3)], "need an nn.Dropout layer"),
+    ],
+)
+def test_a_module_that_will_not_do_is_named(data, layers, message):
+    with pytest.raises(ValueError, match=message):
+        simulate(DropoutLearner(lambda: nn.Sequential(nn.Flatten(), *layers)), *data, progress=False)
+
+
+def test_what_is_no_classifier_is_refused():
+    with pytest.raises(ValueError, match="regression is out of scope"):
+        SklearnLearner(nn.Flatten())
+    with pytest.raises(ValueError, match="a class has to be called"):
+        SklearnLearner(Nearest)
+    with pytest.raises(ValueError, match="a function that makes a new module"):
+        DropoutLearner(nn.Flatten())
+    with pytest.raises(ValueError, match="expected an SklearnLearner or a DropoutLearner"):
+        inspect.unwrap(EnsembleLearner.__init__)(None, Nearest())  # without the check of types under test
