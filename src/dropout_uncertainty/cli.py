@@ -101,7 +101,7 @@ def run(
 ) -> None:
     """Compute the missing records of an experiment; a run that was stopped continues where it was."""
     from dropout_uncertainty.runs import execute, executors, records
-    from dropout_uncertainty.runs.unit import PRECISIONS, check_device
+    from dropout_uncertainty.runs.unit import PRECISIONS, Unit, check_device
 
     folders.create(records.root())
     any_device = device == "auto"
