@@ -8,12 +8,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import torch
-from scipy import sparse
 from torch import nn
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning import DropoutLearner, EnsembleLearner, SklearnLearner, simulate
-from dropout_uncertainty.active_learning.inputs import numbers
 from dropout_uncertainty.active_learning.loop import acquire
 from dropout_uncertainty.active_learning.pools import Pool
 
@@ -284,13 +282,3 @@ def test_what_is_no_classifier_is_refused():
         DropoutLearner(nn.Flatten())
     with pytest.raises(ValueError, match="expected an SklearnLearner or a DropoutLearner"):
         inspect.unwrap(EnsembleLearner.__init__)(None, Nearest())  # without the check of types under test
-
-
-def test_what_is_no_array_is_called_what_it_is():
-    for given, kind in (
-        (sparse.csr_matrix(np.eye(2)), r"csr_matrix of shape \[2, 2\]"),
-        ({"a": 1}, "a dict"),
-        (np.array(["a"]), r"<U1 of shape \[1\]"),
-    ):
-        with pytest.raises(ValueError, match=f"expected images as real numbers in one array, got {kind}"):
-            inspect.unwrap(numbers)(given, "images")  # without the check of types under test

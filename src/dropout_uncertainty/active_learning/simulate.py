@@ -147,7 +147,7 @@ def _split(targets: Int[Tensor, " N"], test: float | ArrayLike, per_class: int, 
     """Return the test points, and the pool with the first points of each class labelled."""
     total = len(targets)
     order = torch.randperm(total, generator=rng.generator(seed, "data"))
-    tested = order[: max(round(float(test) * total), 0)] if np.ndim(test) == 0 else _named(test, total)
+    tested = order[: max(round(np.asarray(test).item() * total), 0)] if np.ndim(test) == 0 else _named(test, total)
     held_out = torch.zeros(total, dtype=torch.bool)
     if not 0 < len(tested) < total or tested.max() >= total:
         raise ValueError(f"expected a share between 0 and 1, or indices below {total}, as test points, got {test!r}")
