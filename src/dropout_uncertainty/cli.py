@@ -156,7 +156,7 @@ def list_records() -> None:
 @record_commands.command("verify")
 def verify_records(
     recompute: Annotated[int, typer.Option(help="units of each section to recompute, drawn at random", min=0)] = 0,
-    seed: Annotated[int | None, typer.Option(help="of the drawing; default: today's date as a number")] = None,
+    seed: Annotated[int | None, typer.Option(help="of the drawing; default: today's date as a number", min=0)] = None,
     seconds: Annotated[float, typer.Option(help="CPU time for the first steps of each; 0: all its steps")] = 30.0,
 ) -> None:
     """Check every stored record against its checksums, place and config; recompute a few and compare."""
@@ -262,13 +262,13 @@ def seed_list(text: str) -> list[int]:
     """Return the seeds that a text such as "0-4,7" names; raises UserError if it names none."""
     seeds: list[int] = []
     for part in text.split(","):
-        match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+        match = re.fullmatch(r"\s*(\d{1,18})(?:-(\d{1,18}))?\s*", part)
         if match is None or (match[2] is not None and int(match[2]) < int(match[1])):
             raise UserError(f"seeds are given like 0-4 or 0,3,7, got {text!r}")
-        part_seeds = range(int(match[1]), int(match[2] or match[1]) + 1)
-        if len(seeds) + len(part_seeds) > MOST_SEEDS:
+        first, last = int(match[1]), int(match[2] or match[1])
+        if len(seeds) + last - first >= MOST_SEEDS:
             raise UserError(f"at most {MOST_SEEDS:,} seeds can be asked for at a time, got {text!r}")
-        seeds += part_seeds
+        seeds += range(first, last + 1)
     return list(dict.fromkeys(seeds))
 
 

@@ -1,6 +1,8 @@
 """Records: what is written comes back, and what cannot be trusted is refused with a sentence."""
 
+import errno
 import io
+import os
 import shutil
 import zipfile
 from dataclasses import dataclass, field
@@ -98,6 +100,26 @@ def test_a_copy_or_a_record_in_the_wrong_place_is_refused(path, tmp_path):
         ]  # fmt: skip
         copy.unlink()
     assert len(records.find("toy", folder=tmp_path)) == 1
+
+
+@pytest.mark.parametrize("moved", ["toy", "toy/ours", "toy/ours/a"])
+def test_a_folder_that_is_a_link_to_another_disk(path, tmp_path, moved):
+    folder, disk = tmp_path / moved, tmp_path.with_name(f"{tmp_path.name}-disk")
+    shutil.move(folder, disk)
+    folder.symlink_to(disk)
+    (disk / "round").symlink_to(disk)  # has no end
+    assert records.verify(tmp_path) == [(path, None)]
+    for name in (None, "ours/a"):
+        assert [record.path for record in records.find("toy", name=name, folder=tmp_path)] == [path]
+
+
+def test_a_folder_that_cannot_be_looked_into_is_not_an_empty_one(path, tmp_path, monkeypatch):
+    def refuse(folder):
+        raise PermissionError(errno.EACCES, "Permission denied", str(folder))
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    with pytest.raises(RecordError, match=r"cannot look for records in .* \(Permission denied\)"):
+        records.find("toy", folder=tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -117,6 +117,8 @@ def _plain(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         kept = [f for f in fields(value) if getattr(value, f.name) != f.metadata.get("before", _NEVER)]
         return {f.name: _plain(getattr(value, f.name)) for f in kept}
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
@@ -338,7 +340,18 @@ def _check_place(path: Path, header: Mapping[str, Any], folder: Path | None = No
 
 
 def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*.npz") if not path.name.startswith("."))
+    """Return the record files below a folder, also where a folder below it is a link to another disk."""
+    found = []
+    for place, below, names in os.walk(folder, followlinks=True, onerror=_unseen):
+        found += [Path(place, name) for name in names if name.endswith(".npz") and not name.startswith(".")]
+        here = Path(place).resolve()  # a link to what it lies in would have no end
+        below[:] = [name for name in below if not here.is_relative_to(Path(place, name).resolve())]
+    return sorted(found)
+
+
+def _unseen(error: OSError) -> None:
+    if not isinstance(error, FileNotFoundError | NotADirectoryError):
+        raise RecordError(f"cannot look for records in {error.filename} ({error.strerror}): make it readable")
 
 
 def _parse(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
