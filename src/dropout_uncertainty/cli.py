@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dropout_uncertainty import __version__, folders, stopping
+import dropout_uncertainty
+from dropout_uncertainty import folders, stopping
 from dropout_uncertainty.errors import UserError
 
 if TYPE_CHECKING:  # PyTorch takes seconds to import, which `--help` need not wait for
@@ -45,7 +46,7 @@ app.add_typer(record_commands, name="records")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(__version__)
+        typer.echo(dropout_uncertainty.__version__)
         raise typer.Exit
 
 

@@ -33,6 +33,20 @@ def test_what_is_written_comes_back(path, tmp_path):
     assert not list(tmp_path.rglob(".*")), "a temporary file was left"
 
 
+def test_a_file_is_read_once_as_long_as_it_is_the_same(path, tmp_path):
+    (first,), (second,) = (records.find("toy", folder=tmp_path) for _ in range(2))
+    for name, array in first.arrays.items():
+        assert array is second.arrays[name]
+        assert not array.flags.writeable
+    second.header["seeds"].append(102)
+    second.arrays.clear()
+    (third,) = records.find("toy", folder=tmp_path)
+    assert (third.seeds, third.arrays.keys()) == ([100, 101], ARRAYS.keys()), "what a reader changes is its own"
+    path.write_bytes(b"damaged")
+    with pytest.raises(RecordError, match="cannot be read"):
+        records.find("toy", folder=tmp_path)
+
+
 @dataclass(frozen=True)
 class Inner:
     x: float = 1.0

@@ -6,6 +6,7 @@ what cannot be trusted is a ``RecordError`` that names the file and what to do.
 """
 
 import contextlib
+import copy
 import csv
 import datetime
 import errno
@@ -20,7 +21,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ class RecordError(UserError):
 
 @dataclass(frozen=True)
 class Record:
-    """A verified record: ``header`` (see ``REQUIRED``), ``arrays`` by name, and the ``path`` it was read from."""
+    """A verified record: ``header`` (see ``REQUIRED``), read-only ``arrays`` by name, and ``path``, its file."""
 
     header: dict[str, Any] = field(repr=False)
     arrays: dict[str, np.ndarray] = field(repr=False)
@@ -359,6 +360,8 @@ def _parse(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     with zipfile.ZipFile(path) as archive:
         members = {name.removesuffix(".npy"): archive.read(name) for name in archive.namelist()}
     arrays = {name: np.lib.format.read_array(io.BytesIO(content)) for name, content in members.items()}
+    for array in arrays.values():
+        array.flags.writeable = False
     header = json.loads(arrays.pop(HEADER).tobytes())
     if not isinstance(header, dict):
         raise ValueError("its header is no table")
@@ -384,7 +387,7 @@ def find(
         RecordError: if one of them cannot be trusted, seeds come twice, or configs of one name differ.
     """
     folder = folders.existing(folder or root(), folders.RECORDS, "records")
-    found = [read(path, folder) for path in _files(folder / experiment / (name or ""))]
+    found = [_kept(path, folder) for path in _files(folder / experiment / (name or ""))]
     if name is not None:
         found = [record for record in found if record.header["name"] == name]
     if config is not None:
@@ -399,6 +402,22 @@ def find(
     if clash := _clash(counted):
         raise RecordError(clash[1])
     return counted
+
+
+def _kept(path: Path, folder: Path) -> Record:
+    """Return the record at ``path`` as ``read`` does, from memory if this process has read this very file before."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        raise RecordError(f"there is no record {path}") from None
+    record = _verified(path, folder, (found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns))
+    # the arrays cannot be written to; what else could be changed is each reader's own
+    return replace(record, header=copy.deepcopy(record.header), arrays=dict(record.arrays))
+
+
+@lru_cache(maxsize=256)
+def _verified(path: Path, folder: Path, _: tuple[int, ...]) -> Record:
+    return read(path, folder)
 
 
 def _same(first: Record, second: Record) -> bool:

@@ -264,11 +264,11 @@ class PilcoLearning:
         self.done = done = arrays["costs"].shape[1]
         for kept in (self.log, self.counts):
             for name, values in kept.items():
-                values[:, :done] = torch.from_numpy(arrays[name])
+                values[:, :done] = torch.tensor(arrays[name])
         for part, spent in self.seconds.items():
             spent[:done] = seconds[part]
         self.policy, self.hyper = self.log["policy"][:, done - 1].clone(), self.log["hyper"][:, done - 1].clone()
-        self.inducing = torch.from_numpy(arrays["inducing"]) if "inducing" in arrays else None
+        self.inducing = torch.tensor(arrays["inducing"]) if "inducing" in arrays else None
         for trial in range(done):
             self._append(self.log["observed"][:, trial], self.log["forces"][:, trial])
 
