@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 import toy
 from test_cli import command
 
@@ -92,7 +93,7 @@ def test_nothing_to_compare_is_a_problem(record):
 
 
 def test_a_record_of_another_unit_is_refused(record):
-    with pytest.raises(ValueError, match="other config_hash"):
+    with pytest.raises(ValueError, match="other config"):
         recompute(toy.unit(steps=41), record, progress=False)
 
 
@@ -134,12 +135,13 @@ def test_verify_recomputes_and_says_what_fails(tmp_path, monkeypatch):
     from dropout_uncertainty.exploration import experiment
 
     (unit,) = experiment.units("quick/ours-greedy", [100])
-    process = experiment.start(replace(unit.config, ticks=1500), [100])
+    process = experiment.start(replace(unit.config, ticks=3500), [100])  # the burn-in and a block
     while process.done < process.total:
         process.advance()
     arrays = process.result()
     blocks = unit.config.ticks // experiment.BLOCK
-    longer = {name: np.repeat(array, blocks // 3, axis=-1) for name, array in arrays.items()}  # block 1 is right
+    places = [0] * (blocks - process.total) + list(range(process.total))  # the first block is right
+    longer = {name: array[..., places] for name, array in arrays.items()}
     header = {**unit.identity, "config": records.config_dict(unit.config), "provenance": records.provenance()}
     path = tmp_path / f"{unit.label}.npz"
     records.write(path, longer, header)
@@ -149,3 +151,20 @@ def test_verify_recomputes_and_says_what_fails(tmp_path, monkeypatch):
     assert "1 of 1 records are intact" in outcome.stdout
     assert f"quick/ours-greedy/100.npz: 2 of {blocks} steps again" in outcome.stderr
     assert "reward differs" in outcome.stderr
+
+
+def test_bfloat16_is_recomputed_in_float32_where_the_cpu_has_none_of_it(monkeypatch, tmp_path):
+    begun = []
+
+    def start(config, seeds, *, device, precision):
+        begun.append(precision)
+        return toy.start(config, seeds)
+
+    unit = replace(toy.unit(), start=start, precision="bfloat16", published="bfloat16")
+    record = execute.run_unit(unit, tmp_path)
+    for capability, expected in (("AVX2", "float32"), ("AVX512", "bfloat16")):
+        monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda name=capability: name)
+        found = recompute(unit, record, progress=False)
+        assert begun[-1] == expected
+        said = "precision bfloat16 there, float32 here" in found.elsewhere
+        assert said == (expected == "float32")

@@ -22,7 +22,7 @@ from dropout_uncertainty.runs.unit import Unit, check_device, differing
 __all__ = ["Comparison", "choose", "recompute"]
 
 #: What must be the same for a result to come out bit for bit, beside device type and precision.
-SAME = ("torch", "numpy", "scipy", "system", "processor", "processor_family", "rounding")
+SAME = ("precision", "torch", "numpy", "scipy", "system", "processor", "processor_family", "rounding")
 #: Elsewhere rounding sends runs on other ways. Then the mean of an array over replicas and steps must agree within this
 #: share of its mean size, or within so many standard errors of the paired difference over replicas.
 TOLERANCE, STANDARD_ERRORS = 0.2, 4.0
@@ -81,7 +81,8 @@ def choose(found: Sequence[Record], count: int, seed: int) -> list[Record]:
 def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: bool = True) -> Comparison:
     """Do the first steps of a unit again, as many as fit into ``seconds`` of CPU time but at least two, and compare.
 
-    A record made on a GPU is recomputed on the CPU where there is no GPU.
+    A record made on a GPU is recomputed on the CPU where there is no GPU, and one made in bfloat16 in float32 where the
+    CPU has no instructions for it and would take ten times as long; what is compared says so.
 
     Raises:
         ValueError: if ``record`` is not that of the unit.
@@ -89,11 +90,14 @@ def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: boo
     if other := differing(unit, record):
         raise ValueError(f"{record.label} is not the record of {unit.label}: other {', '.join(other)}")
     device = check_device("auto") if unit.device == "cuda" else "cpu"
-    origin = {"rounding": 1, **record.header["provenance"]}
+    precision = (
+        "float32" if unit.precision == "bfloat16" and device == "cpu" and not _has_bfloat16() else unit.precision
+    )
+    origin = {"rounding": 1, **record.header["provenance"], "precision": unit.precision}
     with _threads(origin.get("threads", 1)):
-        process = unit.start(unit.config, unit.seeds, device=device, precision=unit.precision)
+        process = unit.start(unit.config, unit.seeds, device=device, precision=precision)
         spent = _advance(process, seconds, unit.label, progress)
-    here = {**records.provenance(device), "rounding": rounding(process)}
+    here = {**records.provenance(device), "rounding": rounding(process), "precision": precision}
     with np.errstate(invalid="ignore"):  # counts of steps to come are integers that were NaN
         again = process.result()
     settled = {name: _settled(array, again.get(name), process) for name, array in record.arrays.items()}
@@ -108,6 +112,11 @@ def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: boo
         elsewhere=[phrase for key in SAME if (phrase := _changed(key, origin.get(key), here[key]))],
         far=[phrase for name, pair in pairs.items() if (phrase := _far(name, *pair))],
     )
+
+
+def _has_bfloat16() -> bool:
+    """Return whether the CPU may have instructions for bfloat16: without AVX-512 and AMX there are none."""
+    return torch.backends.cpu.get_cpu_capability() not in ("DEFAULT", "AVX2")
 
 
 @contextlib.contextmanager
