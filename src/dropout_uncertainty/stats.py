@@ -14,7 +14,7 @@ from scipy import stats as scipy_stats
 __all__ = [
     "CONFIDENCE", "Estimate", "Interval", "bootstrap_estimate", "bootstrap_interval", "crossing_interval",
     "difference_of_means", "difference_of_shares", "first_crossing", "mean_estimate", "median_filter",
-    "paired_difference", "ratio_interval", "t_interval",
+    "paired_difference", "ratio_interval", "share_estimate", "t_interval",
 ]  # fmt: skip
 
 CONFIDENCE = 0.95
@@ -49,6 +49,11 @@ class Estimate(NamedTuple):
     p: float
     n: int
 
+    @property
+    def interval(self) -> Interval:
+        """The estimate with its 95 % interval."""
+        return Interval(self.value, self.low, self.high, self.n)
+
 
 def _unknown(value: float, n: int) -> Estimate:
     return Estimate(value, *[np.nan] * 5, n)
@@ -79,6 +84,17 @@ def difference_of_means(first: Sequence[float] | np.ndarray, second: Sequence[fl
     value, error = float(first.mean() - second.mean()), float(squares.sum() ** 0.5)
     parts = squares**2 / (np.array([len(first), len(second)]) - 1)
     return _student(value, error, float(squares.sum() ** 2 / parts.sum()) if error > 0 else 1.0, n)
+
+
+def share_estimate(flags: Sequence[bool] | np.ndarray, claimed: float) -> Estimate:
+    """Return a share less a claimed one, with Wilson's intervals; the p-value is that of the exact binomial test."""
+    flags = np.asarray(flags, bool)
+    n = len(flags)
+    if n == 0:
+        return _unknown(np.nan, 0)
+    test = scipy_stats.binomtest(int(flags.sum()), n, claimed)
+    ends = [end - claimed for level in (0.95, 0.90) for end in test.proportion_ci(level, method="wilson")]
+    return Estimate(float(flags.mean() - claimed), *map(float, ends), float(test.pvalue), n)
 
 
 def difference_of_shares(first: Sequence[bool] | np.ndarray, second: Sequence[bool] | np.ndarray) -> Estimate:

@@ -71,6 +71,15 @@ def thesis_value(identifier: str) -> float | None:
     return _thesis().get(identifier)
 
 
+def printed(identifier: str) -> float:
+    """Return a value that the thesis prints.
+
+    Raises:
+        KeyError: if ``records/thesis.csv`` has none of that id.
+    """
+    return _thesis()[identifier]
+
+
 def measured(
     identifier: str,
     interval: Interval,

@@ -1,6 +1,7 @@
 """Statements of the chapter: one sentence, one quantity, one verdict by ``judging.rules``."""
 
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -10,9 +11,14 @@ from dropout_uncertainty.judging.rules import Verdict
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Estimate, Interval
 
-__all__ = ["Judged", "Kind", "Measured", "Statement", "judge"]
+__all__ = ["NEAR", "Judged", "Kind", "Measured", "Statement", "audited", "from_range", "judge", "nothing", "shifted"]
 
 Kind = Literal["value", "less", "more", "equality", "audit"]
+
+#: The margin of a printed value, as a share of it, where there is no special one.
+NEAR = 0.15
+#: Repetitions of a primary statement; of section 5.4, whose learners differ more from seed to seed.
+PRIMARY, PRIMARY_5_4 = 20, 40
 
 
 @dataclass(frozen=True)
@@ -24,11 +30,34 @@ class Measured:
             ``value`` is 1 (the fact holds) or 0.
         ours: what is shown beside the thesis's value, with its 95 % interval.
         records: those behind it.
+        beside: other ways to count, by name, which are shown and not judged.
     """
 
     difference: Estimate
     ours: Interval
-    records: Sequence[Record]
+    records: Sequence[Record] = ()
+    beside: Mapping[str, Interval] = field(default_factory=dict)
+
+
+def nothing(folder: Path | None) -> None:
+    """Return what is known of a statement for which nothing has been run."""
+
+
+def audited(holds: bool) -> Measured:
+    """Return the evidence about a fact."""
+    value = float(holds)
+    return Measured(Estimate(value, *[math.nan] * 5, 0), Interval(value, math.nan, math.nan, 0))
+
+
+def shifted(interval: Interval, by: float) -> Interval:
+    """Return an interval moved along, such as that of a difference back to the quantity itself."""
+    return Interval(interval.value + by, interval.low + by, interval.high + by, interval.n)
+
+
+def from_range(estimate: Estimate, low: float, high: float) -> Estimate:
+    """Return how far a quantity lies outside a printed range, counted from its nearer end; no p-value."""
+    value, *ends = (x - min(max(x, low), high) for x in estimate[:5])
+    return Estimate(value, *ends, math.nan, estimate.n)
 
 
 @dataclass(frozen=True)
@@ -62,10 +91,19 @@ class Statement:
     primary: bool = False
     would_test: str = ""
 
+    @property
+    def least(self) -> int:
+        """Repetitions that a verdict needs."""
+        if not self.primary:
+            return rules.LEAST
+        return PRIMARY_5_4 if self.id.startswith("DE") else PRIMARY
+
     def verdict(self, difference: Estimate) -> Verdict:
         """Return the verdict of an estimate, not adjusted for other statements."""
         if self.kind == "audit":
             return "confirmed" if difference.value else "refuted"
+        if difference.n < self.least:
+            return "untested"
         if self.kind == "value":
             return rules.value(difference, self.margin)
         if self.kind == "equality":
@@ -91,19 +129,36 @@ class Judged:
     p: float
     small: bool
 
+    @property
+    def why(self) -> str:
+        """Why nothing could be said, or how small a difference could have been seen; empty for other verdicts."""
+        statement, measured = self.statement, self.measured
+        if measured is None:
+            return statement.would_test or "no records yet"
+        if self.plain == "untested":
+            return f"{measured.difference.n} of {statement.least} repetitions"
+        if self.verdict in ("inconclusive", "imprecise"):
+            half = (measured.difference.high - measured.difference.low) / 2
+            return f"differences below {half:.2g} {statement.unit} could not be seen".replace("  ", " ").strip()
+        return "small: within the margin" if self.small else ""
+
 
 def judge(statements: Iterable[Statement], folder: Path | None = None) -> list[Judged]:
     """Return the statements of one section with the verdicts that the records of ``folder`` give them."""
     found = [(statement, statement.measure(folder)) for statement in statements]
     plain = {s.id: s.verdict(m.difference) if m else "untested" for s, m in found}
-    p = {s.id: m.difference.p if m else float("nan") for s, m in found if s.primary}
+    p = {s.id: m.difference.p if m and plain[s.id] != "untested" else math.nan for s, m in found if s.primary}
     adjusted = rules.holm(p)
     judged = []
     for statement, measured in found:
         verdict: Verdict = plain[statement.id]
         if statement.primary:
             verdict = rules.adjusted(verdict, adjusted[statement.id])
-        small = measured is not None and rules.small(verdict, measured.difference, statement.margin)
-        level = adjusted.get(statement.id, measured.difference.p if measured else float("nan"))
+        small = (
+            measured is not None
+            and statement.kind in ("less", "more")
+            and rules.small(verdict, measured.difference, statement.margin)
+        )
+        level = adjusted.get(statement.id, measured.difference.p if measured else math.nan)
         judged.append(Judged(statement, measured, plain[statement.id], verdict, level, small))
     return judged
