@@ -35,6 +35,25 @@ def test_weight_decay_by_hand():
         weight_decay(0, 0.2, 2.0, 4.0)
 
 
+def test_weight_decay_belongs_to_half_the_mean_squared_error():
+    """A linear model with a Gaussian prior: its most probable weights are known, and the minimum of ½ MSE + decay."""
+    g = rng.generator(100, "linear")
+    x, noise = (torch.randn(*shape, generator=g, dtype=torch.float64) for shape in ((12, 3), (12,)))
+    length_scale, precision = 1.5, 4.0
+    y = x @ torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64) + noise / precision**0.5
+    prior = length_scale**2 / precision * torch.eye(3, dtype=torch.float64)
+    likeliest = torch.linalg.solve(x.T @ x + prior, x.T @ y)
+    decay = weight_decay(len(x), 0.0, length_scale, precision)
+
+    def slope(factor):
+        weights = likeliest.clone().requires_grad_()
+        (factor * (y - x @ weights).square().mean() + decay * weights.square().sum()).backward()
+        return weights.grad.abs().max().item()
+
+    assert slope(0.5) < 1e-12
+    assert slope(1.0) > 0.01
+
+
 @pytest.fixture
 def net():
     return MLP((3, 20, 2), (0.0, 0.5), seeds=(100, 101), dtype=torch.float64)

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 
@@ -29,3 +30,8 @@ def test_stacked_gives_a_replica_the_same_numbers_in_any_company():
 def test_bad_seeds_are_refused(seed):
     with pytest.raises((ValueError, TypeError), match=r"seed|type"):
         rng.generator(seed)
+
+
+def test_integers_of_numpy_name_the_same_streams():
+    mine, theirs = rng.generator(100, "step", 3), rng.generator(np.int64(100), "step", np.int32(3))
+    assert mine.initial_seed() == theirs.initial_seed() == rng.derived(100, "step", 3)

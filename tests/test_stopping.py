@@ -15,6 +15,8 @@ import pytest
 import toy
 
 from dropout_uncertainty.runs import execute
+from dropout_uncertainty.runs.executors import processes
+from dropout_uncertainty.runs.unit import RunError
 
 HERE = Path(__file__).parent
 #: The command line with an experiment of slow steps, and what Python does with Ctrl-C (a shell may ask to ignore it).
@@ -154,7 +156,7 @@ def failing(config, seeds, **options):
 
 def test_a_unit_that_fails_is_reported_while_others_run(tmp_path):
     units = [replace(toy.unit(seconds=1.0), start=failing, seeds=(seed,)) for seed in (100, 101, 102)]
-    with execute.processes(2) as pool:
+    with processes(2) as pool:
         assert pool.submit(os.getpid).result()  # the first worker is there
         begin = time.monotonic()
         with pytest.raises(RuntimeError, match="this one fails"), pool:
@@ -168,7 +170,7 @@ def vanish():
 
 
 def test_a_worker_that_dies_is_one_sentence(tmp_path):
-    with pytest.raises(execute.RunError, match="a worker process died"), execute.processes(1) as pool:
+    with pytest.raises(RunError, match="a worker process died"), processes(1) as pool:
         execute.run([replace(toy.unit(), start=lambda *_, **__: vanish())], executor=_Vanishing(pool), folder=tmp_path)
 
 
@@ -187,7 +189,7 @@ import toy
 from pathlib import Path
 from dropout_uncertainty.runs import execute
 toy.CONFIGS["slow"] = toy.Walk(steps=300, seconds=0.2)
-with execute.processes(2) as executor:
+with processes(2) as executor:
     execute.run(toy.one_by_one("slow", range(100, 106)), executor=executor, folder=Path("../kernel"))
 """
 

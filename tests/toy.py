@@ -7,7 +7,7 @@ import torch
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.runs import execute
-from dropout_uncertainty.runs.execute import Unit
+from dropout_uncertainty.runs.unit import Unit
 
 
 @dataclass(frozen=True)

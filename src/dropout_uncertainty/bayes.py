@@ -87,8 +87,11 @@ def draw_masks(
 def weight_decay(n: int, p: float, length_scale: float, precision: float) -> float:
     """Return λ = (1 - p) l² / (2 N τ), the decay of a weight matrix whose input is dropped with probability ``p``.
 
-    It multiplies the sum of squared weights beside the mean squared error taken without the factor ½ (thesis equation
-    3.14). ``n`` is the number of data points N, ``length_scale`` the prior length-scale l, ``precision`` τ.
+    It multiplies the sum of squared weights beside *half* the mean squared error (thesis equation 3.14): their sum is
+    then 1 / (N τ) times the negative log posterior of weights with prior variance 1 / ((1 - p) l²), up to a constant.
+    Without the factor ½ the prior counts half as much, as in the published code of the regression experiments, which
+    has this decay beside the whole mean squared error (yaringal/DropoutUncertaintyExps, net/net.py). ``n`` is the
+    number of data points N, ``length_scale`` the prior length-scale l, ``precision`` τ.
 
     Raises:
         ValueError: if ``n`` < 1, ``precision`` or ``length_scale`` is not positive, or ``p`` is outside [0, 1).

@@ -19,7 +19,7 @@ from dropout_uncertainty import __version__, folders, stopping
 from dropout_uncertainty.errors import UserError
 
 if TYPE_CHECKING:  # PyTorch takes seconds to import, which `--help` need not wait for
-    from dropout_uncertainty.runs.execute import Unit
+    from dropout_uncertainty.runs.unit import Unit
 
 __all__ = ["EXPERIMENTS", "app", "main"]
 
@@ -97,7 +97,8 @@ def run(
     scheduler: Annotated[str | None, typer.Option(help="of a Dask cluster to use, such as tcp://host:8786")] = None,
 ) -> None:
     """Compute the missing records of an experiment; a run that was stopped continues where it was."""
-    from dropout_uncertainty.runs import execute, records
+    from dropout_uncertainty.runs import execute, executors, records
+    from dropout_uncertainty.runs.unit import PRECISIONS, check_device
 
     folders.create(records.root())
     any_device = device == "auto"
@@ -105,16 +106,16 @@ def run(
         if workers > 1:
             raise UserError("--workers are processes of this machine, --scheduler has workers of its own: choose one")
         device = known({"auto": "cpu"}.get(device, device), ("cpu", "cuda"), "device")  # of the cluster's workers
-    options: dict[str, Any] = {"device": execute.check_device(device) if scheduler is None else device}
+    options: dict[str, Any] = {"device": check_device(device) if scheduler is None else device}
     if precision is not None:
-        options["precision"] = known(precision, execute.PRECISIONS, "precision")
+        options["precision"] = known(precision, PRECISIONS, "precision")
     # what was computed on the other device type counts, unless one is asked for
     like = options | ({"device": None} if any_device else {})
     experiment = known(experiment.replace("-", "_"), EXPERIMENTS, "experiment")
     modules = config_modules(experiment)
     names, numbers = config_names(config, modules), seed_list(seeds)
 
-    def missing(name: str) -> list[execute.Unit]:
+    def missing(name: str) -> list[Unit]:
         left = records.missing_seeds(experiment, name, modules[name].CONFIGS[name], numbers, **like)
         return modules[name].units(name, left, **options) if left else []
 
@@ -125,9 +126,9 @@ def run(
         typer.echo("Nothing to do: these repetitions have their records.")
     context: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
     if scheduler is not None:
-        context = execute.cluster(scheduler)
+        context = executors.cluster(scheduler)
     elif workers > 1:
-        context = execute.processes(workers)
+        context = executors.processes(workers)
     with context as executor:
         for record in execute.run(units, executor=executor):
             typer.echo(record.path)

@@ -1,4 +1,8 @@
-"""Named random streams: every number drawn in this project comes from a generator made here.
+"""Named random streams: every number that a learner or a world draws in a run comes from a generator made here.
+
+NumPy draws the rest, from generators of its own with a fixed seed: the first inducing inputs of PILCO
+(`gaussian_process.initial_inducing`), the resamples of intervals (`stats`) and which records are recomputed
+(`recompute.choose`). Gymnasium environments draw from their own ``np_random``.
 
 A stream is a pure function of a seed and a path of names and counters, such as ``generator(3, "masks", 17)``. Nothing
 has to be saved to continue a killed run, since a counter in the path says how far it had come, and no function touches
@@ -6,15 +10,17 @@ the global random state.
 """
 
 import hashlib
+import operator
 from collections.abc import Callable, Iterable
+from typing import SupportsIndex
 
 import torch
 from torch import Generator, Tensor
 
-__all__ = ["generator", "stacked"]
+__all__ = ["derived", "generator", "stacked"]
 
 
-def generator(seed: int, *path: str | int, device: str | torch.device = "cpu") -> Generator:
+def generator(seed: SupportsIndex, *path: str | SupportsIndex, device: str | torch.device = "cpu") -> Generator:
     """Return the generator of one stream, independent of every other (seed, path).
 
     ``path`` names the purpose ("init", "data", "masks", "policy", "environment") and, where a run draws in blocks, the
@@ -23,11 +29,22 @@ def generator(seed: int, *path: str | int, device: str | torch.device = "cpu") -
     Raises:
         ValueError: if ``seed`` is not an integer of at least 0.
     """
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+    return Generator(device=device).manual_seed(derived(seed, *path))
+
+
+def derived(seed: SupportsIndex, *path: str | SupportsIndex) -> int:
+    """Return the seed of a part, such as a network of an ensemble, that has streams of its own.
+
+    Raises:
+        ValueError: if ``seed`` is not an integer of at least 0.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, SupportsIndex) or operator.index(seed) < 0:
         raise ValueError(f"a seed is an integer of at least 0, got {seed!r}")
+    # Integers of NumPy have another name than Python's: the same numbers must give the same stream.
+    parts = tuple(part if isinstance(part, str) else operator.index(part) for part in (seed, *path))
     # Hashing, rather than seed + counter, keeps streams apart whose seeds and counters are close.
-    digest = hashlib.sha256(repr((seed, *path)).encode()).digest()
-    return Generator(device=device).manual_seed(int.from_bytes(digest[:8], "little"))
+    digest = hashlib.sha256(repr(parts).encode()).digest()
+    return int.from_bytes(digest[:8], "little")
 
 
 def stacked(

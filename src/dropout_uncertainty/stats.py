@@ -56,7 +56,7 @@ class Estimate(NamedTuple):
 
 
 def _unknown(value: float, n: int) -> Estimate:
-    return Estimate(value, *[np.nan] * 5, n)
+    return Estimate(value, np.nan, np.nan, np.nan, np.nan, np.nan, n)
 
 
 def _student(value: float, error: float, freedom: float | int, n: int) -> Estimate:
@@ -106,18 +106,17 @@ def difference_of_shares(first: Sequence[bool] | np.ndarray, second: Sequence[bo
     n = min(len(first), len(second))
     if n == 0:
         return _unknown(np.nan, 0)
-    a, b = first.mean(), second.mean()
-    ends = []
-    for level in (0.95, 0.90):
+    a, b = float(first.mean()), float(second.mean())
+
+    def limits(level: float) -> tuple[float, float]:
         one, two = (
             scipy_stats.binomtest(int(s.sum()), len(s)).proportion_ci(level, method="wilson") for s in (first, second)
         )
-        ends += [
-            a - b - math.hypot(a - one.low, two.high - b),
-            a - b + math.hypot(one.high - a, b - two.low),
-        ]
+        return a - b - math.hypot(a - one.low, two.high - b), a - b + math.hypot(one.high - a, b - two.low)
+
+    (low, high), (low90, high90) = limits(0.95), limits(0.90)
     table = [[int(s.sum()), int((~s).sum())] for s in (first, second)]
-    return Estimate(float(a - b), *map(float, ends), float(scipy_stats.fisher_exact(table).pvalue), n)
+    return Estimate(a - b, low, high, low90, high90, float(scipy_stats.fisher_exact(table).pvalue), n)
 
 
 def bootstrap_estimate(statistic: Callable[..., float], *sizes: int) -> Estimate:
@@ -135,10 +134,12 @@ def bootstrap_estimate(statistic: Callable[..., float], *sizes: int) -> Estimate
         return _unknown(value, n)
     generator = np.random.default_rng(0)
     draws = np.array([statistic(*(generator.integers(size, size=size) for size in sizes)) for _ in range(RESAMPLES)])
-    ends = [np.quantile(draws, _expanded(q, n), method="inverted_cdf") for q in (0.025, 0.975, 0.05, 0.95)]
-    below = min(np.mean(draws <= 0), np.mean(draws >= 0))
-    p = min(1.0, 2 * scipy_stats.t.cdf(scipy_stats.norm.ppf(max(below, 0.5 / RESAMPLES)) * ((n - 1) / n) ** 0.5, n - 1))
-    return Estimate(value, *map(float, ends), float(p), n)
+    low, high, low90, high90 = (
+        float(np.quantile(draws, _expanded(level, n), method="inverted_cdf")) for level in (0.025, 0.975, 0.05, 0.95)
+    )
+    tail = max(min(np.mean(draws <= 0), np.mean(draws >= 0)), 0.5 / RESAMPLES)
+    p = 2 * scipy_stats.t.cdf(scipy_stats.norm.ppf(tail) * ((n - 1) / n) ** 0.5, n - 1)
+    return Estimate(value, low, high, low90, high90, min(1.0, float(p)), n)
 
 
 def _expanded(level: float, n: int) -> float:

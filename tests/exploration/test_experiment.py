@@ -11,20 +11,23 @@ from dropout_uncertainty.exploration import agent, experiment
 from dropout_uncertainty.exploration.experiment import AS_DEMO, CONFIGS, WIDE, AgentConfig, Config, start
 from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.runs import execute, records
+from dropout_uncertainty.runs.unit import Unit
 
 #: Small and quick to learn, but with every feature of the published configs.
 SMALL = replace(
     AS_DEMO, ticks=1500, burn_in=300, learning_start=200, anneal_end=1200, memory=700, batch=16, hidden=(20, 20)
 )
+#: The same for policies without a schedule.
+PLAIN = replace(SMALL, agents=(AgentConfig("greedy"),), anneal_end=AS_DEMO.anneal_end)
 MIXED = replace(
-    SMALL, agents=(AgentConfig("annealed-thompson", (0.1, 0.2, 0.0)), AgentConfig("boltzmann")), held_out_every=2
+    PLAIN, agents=(AgentConfig("annealed-thompson", (0.1, 0.2, 0.0)), AgentConfig("boltzmann")), held_out_every=2
 )
 
 
 THOMPSON = AgentConfig("thompson", (0.1, 0.2, 0.0))
 #: Agents that act on draws of their own.
 HELD = replace(
-    SMALL,
+    PLAIN,
     agents=(
         replace(THOMPSON, hold=200, draws_until=900),
         AgentConfig("thompson", drop_acting=(0.0, 0.2, 0.1), hold=10),
@@ -97,7 +100,7 @@ def test_held_out_transitions_are_not_learned_from():
 
 
 def test_a_transition_is_what_the_agent_saw_did_and_got():
-    process = start(replace(SMALL, agents=(AgentConfig("thompson", (0.0, 0.2, 0.0)),)), (100,))
+    process = start(replace(PLAIN, agents=(AgentConfig("thompson", (0.0, 0.2, 0.0)),)), (100,))
     seen, did, got = [], [], []
     receive, act = process.agents[0].receive, process.agents[0].act
 
@@ -122,7 +125,7 @@ def test_a_transition_is_what_the_agent_saw_did_and_got():
 
 
 def test_learning_starts_at_the_tick_the_original_does():
-    process = start(replace(AS_DEMO, ticks=1500), (100,))
+    process = start(replace(AS_DEMO, ticks=1500, burn_in=1200), (100,))
     untouched = process.agents[0].network.parameters.clone()
     learned_at = []
     learn = process.agents[0]._learn
@@ -150,7 +153,7 @@ def masks_in_learning(config, ticks):
 
 @pytest.mark.parametrize("hold", [1, 10, 100, 200])
 def test_a_draw_is_held_for_as_many_ticks_as_said(hold):
-    seen = masks_in_learning(replace(SMALL, agents=(replace(THOMPSON, hold=hold),)), 500)
+    seen = masks_in_learning(replace(PLAIN, agents=(replace(THOMPSON, hold=hold),)), 500)
     acting = {tick: masks[0][:, -2] for tick, masks in seen.items()}
     for tick in range(210, 500):
         same = torch.equal(acting[tick], acting[tick + 1])
@@ -161,7 +164,7 @@ def test_a_draw_is_held_for_as_many_ticks_as_said(hold):
 
 def test_an_agent_may_act_on_draws_and_learn_without():
     agent = AgentConfig("thompson", drop_acting=(0.0, 0.2, 0.0))
-    seen = masks_in_learning(replace(SMALL, agents=(agent,)), 500)
+    seen = masks_in_learning(replace(PLAIN, agents=(agent,)), 500)
     kept = torch.stack([masks[1][:, -2] for masks in seen.values()])
     assert (kept > 0).float().mean().item() == pytest.approx(0.8, abs=4 * (0.16 / kept.numel()) ** 0.5)
     assert set(kept.unique().tolist()) == {0.0, 1.25}
@@ -175,7 +178,7 @@ def test_an_agent_may_act_on_draws_and_learn_without():
 def test_learning_does_not_depend_on_what_is_acted_on():
     """The draws of learning are the same ones; until actions differ, so are the weights."""
     drawn, mean = (
-        run(start(replace(SMALL, burn_in=1400, anneal_end=1500, agents=(agent,)), (100,)), 2).agents[0].network
+        run(start(replace(PLAIN, burn_in=1400, agents=(agent,)), (100,)), 2).agents[0].network
         for agent in (THOMPSON, replace(THOMPSON, policy="greedy"))
     )
     assert torch.equal(drawn.parameters, mean.parameters)
@@ -183,19 +186,17 @@ def test_learning_does_not_depend_on_what_is_acted_on():
 
 def test_masks_are_switched_off_at_the_tick_said():
     def log(agent):
-        return run(start(replace(SMALL, agents=(agent,), ticks=1000), (100, 101))).log
+        return run(start(replace(PLAIN, agents=(agent,), ticks=1000), (100, 101))).log
 
     until, always = log(replace(THOMPSON, draws_until=500)), log(THOMPSON)
-    never, greedy = log(replace(THOMPSON, draws_until=1)), log(replace(THOMPSON, policy="greedy"))
     for name in always:
         np.testing.assert_array_equal(until[name][..., 0], always[name][..., 0])
-        np.testing.assert_array_equal(never[name], greedy[name])
     assert not until["explored"][..., 1].any()
     assert always["explored"][..., 1].all()
 
 
 def test_a_run_reaches_its_record(tmp_path):
-    unit = execute.Unit("exploration", "small", start, SMALL, (100, 101))
+    unit = Unit("exploration", "small", start, SMALL, (100, 101))
     record = execute.run_unit(unit, folder=tmp_path)
     assert record.arrays["average_reward"].shape == (2, 2, 3)
     assert record.header["config"]["agents"][0] == {"policy": "thompson", "drop": [0.0, 0.2, 0.0]}
@@ -221,13 +222,31 @@ def test_published_configs_say_what_they_are():
     [
         ({"agents": ()}, "at least one agent"),
         ({"ticks": 1234}, "multiple of 500"),
+        ({"ticks": 500, "burn_in": 498}, "ticks must exceed burn_in"),
+        ({"agents": (AgentConfig("thompson"),)}, "at least one drop probability must be above 0"),
+        ({"agents": (replace(THOMPSON, drop_acting=(0.0, 0.0, 0.0)),)}, "at least one drop probability"),
+        ({"agents": (replace(THOMPSON, drop_acting=(0.1,)),)}, "3 drop probabilities"),
+        ({"agents": (replace(THOMPSON, hold=30),)}, "divisor or a multiple of 100"),
+        ({"agents": (replace(THOMPSON, hold=0),)}, "hold must be a whole number of at least 1"),
+        ({"agents": (replace(THOMPSON, draws_until=302),)}, "draws_until must be a whole number of at least 303"),
+        ({"agents": (replace(THOMPSON, draws_until=1500),)}, "before the last tick"),
+        ({"agents": (AgentConfig("greedy", hold=10),)}, "greedy acts on the mean weights"),
+        ({"agents": (AgentConfig("boltzmann", draws_until=500),)}, "boltzmann acts on the mean weights"),
+        ({"memory": 200}, "or learning never starts, got 200"),
+        ({"batch": 0}, "batch must be a whole number of at least 1"),
+        ({"hidden": (20, 0)}, "hidden layer's width"),
+        ({"discount": 1.1}, "discount must be a number from 0 to 1"),
+        ({"discount": float("nan")}, "discount must be a number from 0 to 1"),
+        ({"learning_rate": 0.0}, "nothing is learned"),
+        ({"l2_decay": -0.1}, "l2_decay must be a number of at least 0"),
+        ({"epsilon_floor": 1.5}, "floor of epsilon"),
+        ({"held_out_every": 4}, "at most the 3 blocks, got 4"),
         ({"agents": (AgentConfig("ucb"),)}, "unknown policy 'ucb'"),
         ({"agents": (AgentConfig("thompson", (0.0, 1.0, 0.0)),)}, "drop probability"),
         ({"agents": (AgentConfig("thompson", (0.1,)),)}, "3 drop probabilities"),
         ({"burn_in": 100}, "burn_in must exceed"),
         ({"anneal_end": 300}, "anneal_end must exceed"),
-        ({"cooling_end": 300}, "cooling_end must exceed"),
-        ({"temperature_end": 0.0}, "temperatures must be positive"),
+        ({"cooling_end": 300}, "cooling_end does nothing here"),
         ({"held_out_every": 1}, "held_out_every"),
     ],
 )
@@ -236,15 +255,42 @@ def test_bad_configs_are_refused(change, message):
         replace(SMALL, **change)
 
 
+@pytest.mark.parametrize(
+    ("agent", "change", "message"),
+    [
+        ("boltzmann", {"cooling_end": 300}, "cooling_end must exceed"),
+        ("boltzmann", {"temperature_end": 0.0}, "temperatures must be positive"),
+        ("annealed-thompson", {"temperature_start": float("inf")}, "temperatures must be positive"),
+        ("boltzmann", {"anneal_end": 1200}, "anneal_end does nothing here"),
+        ("epsilon-greedy", {"temperature_start": 0.2}, "temperature_start does nothing here"),
+        ("greedy", {"epsilon_floor": 0.1}, "epsilon_floor does nothing here"),
+    ],
+)
+def test_schedules_that_cannot_be_or_that_nobody_follows_are_refused(agent, change, message):
+    drop = (0.0, 0.2, 0.0) if agent == "annealed-thompson" else (0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match=message):
+        replace(PLAIN, agents=(AgentConfig(agent, drop),), **change)
+
+
+def test_a_tick_out_of_turn_is_refused():
+    process = start(PLAIN, (100,))
+    process.advance()
+    for tick in (0, 300, 501):
+        with pytest.raises(ValueError, match=f"tick {tick} is not prepared for"):
+            process.agents[0].act(np.ones((1, 27)), tick)
+
+
 def test_bad_arguments_are_refused():
     with pytest.raises(ValueError, match="at least one seed"):
         start(SMALL, ())
-    with pytest.raises(ValueError, match="seed"):
-        start(SMALL, (-1,))
+    for seeds in ((-1,), (100, 100)):
+        with pytest.raises(ValueError, match="0 or more and once only"):
+            start(SMALL, seeds)
+    for precision in ("bfloat16", "float16"):
+        with pytest.raises(UserError, match=f"float32 or float64, not in '{precision}'"):
+            start(SMALL, (100,), precision=precision)
     with pytest.raises(UserError, match="unknown config"):
         experiment.units("as-dreamt")
-    with pytest.raises(ValueError, match="at least one agent"):
+    with pytest.raises(ValueError, match="at least one, got 0"):
         world.World(np.zeros((1, 30, 3)), agents=0)
-    with pytest.raises(ValueError, match="precision"):
-        start(SMALL, (100,), precision="float16")
     assert isinstance(SMALL, Config)

@@ -81,6 +81,12 @@ def test_a_restored_memory_reads_the_same():
     np.testing.assert_array_equal(other.memory, memory.memory)
 
 
+def test_nothing_is_read_from_an_empty_memory():
+    memory = ReplayMemory(1, 4, D, C)
+    with pytest.raises(ValueError, match="got 3 of 0"):
+        memory.spread(3)
+
+
 def test_an_empty_memory_is_refused():
     with pytest.raises(ValueError, match="at least one transition"):
         ReplayMemory(1, 0, D, C)

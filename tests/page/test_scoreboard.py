@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 from dropout_uncertainty.judging.collect import CLAIMS
 from dropout_uncertainty.judging.results import Claim, Part, missing
@@ -9,13 +10,14 @@ from dropout_uncertainty.page import book, scoreboard
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Interval
 
-NOTEBOOK = (scoreboard.NOTEBOOKS / "5_2_active_learning.ipynb").read_text(encoding="utf-8")
+NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
+NOTEBOOK = (NOTEBOOKS / "5_2_active_learning.ipynb").read_text(encoding="utf-8")
 
 
 def record(name, seeds, cpu_s, *, device="cpu", wall_s=0.0, experiment="active_learning"):
     origin = {"cpu_s": cpu_s, "wall_s": wall_s, "processor": "a processor"}
     header = {"experiment": experiment, "name": name, "seeds": seeds, "device": device, "provenance": origin}
-    return Record(header, {}, scoreboard.NOTEBOOKS / f"{seeds[0]:03d}.npz")
+    return Record(header, {}, NOTEBOOKS / f"{seeds[0]:03d}.npz")
 
 
 def judged(*parts, found=(), where="Table 5.1", identifier="AL1"):
@@ -39,7 +41,7 @@ def test_every_claim_is_counted_once_by_section_and_verdict():
     heads, rows = scoreboard.tally(some)
     assert heads == ["section", "replicated", "partly", "not replicated", "undecided", "claims"]
     assert [row[1:] for row in rows] == [[1, 1, 0, 0, 2], [0, 0, 0, 0, 0], [0, 0, 0, 1, 1], [1, 1, 0, 1, 3]]
-    _, rows = scoreboard.tally([claim.judge(scoreboard.NOTEBOOKS) for claim in CLAIMS.values()])
+    _, rows = scoreboard.tally([claim.judge(NOTEBOOKS) for claim in CLAIMS.values()])
     assert rows[-1][-1] == len(CLAIMS)
 
 
@@ -118,7 +120,7 @@ def test_the_scoreboard_runs_last():
 
 
 def test_the_page_shows_every_section():
-    text = (scoreboard.NOTEBOOKS / "scoreboard.ipynb").read_text(encoding="utf-8")
+    text = (NOTEBOOKS / "scoreboard.ipynb").read_text(encoding="utf-8")
     for letters, title in scoreboard.SECTIONS.items():
         assert len(re.findall(rf'section\(\\"{letters}\\"\)', text)) == 2, f"verdicts and what is behind them: {title}"
         assert f"## {title}" in text

@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 from dropout_uncertainty import cli
 from dropout_uncertainty.runs import execute, records
-from dropout_uncertainty.runs.execute import RunError
+from dropout_uncertainty.runs.executors import cluster
+from dropout_uncertainty.runs.unit import RunError
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def test_a_worker_killed_in_the_middle_of_a_unit_loses_nothing(tmp_path, schedul
     unit, killed = toy.unit(seconds=0.1), []
     killer = threading.Thread(target=kill_the_worker_at, args=(tmp_path, scheduler, killed))
     killer.start()
-    with execute.cluster(scheduler) as executor:
+    with cluster(scheduler) as executor:
         (found,) = execute.run([unit], executor=executor, folder=tmp_path, progress=False)
         killer.join()
     assert len(killed) == 1
@@ -86,7 +87,7 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(nowhere):
 @pytest.mark.parametrize("address", ["tcp://", "host", "ftp://host:1"])
 def test_an_address_that_is_none(address, monkeypatch):
     monkeypatch.setattr(execute, "CONNECT_SECONDS", 0.5)
-    with pytest.raises(RunError, match=f"no Dask scheduler answers at {address}"), execute.cluster(address):
+    with pytest.raises(RunError, match=f"no Dask scheduler answers at {address}"), cluster(address):
         pass
 
 

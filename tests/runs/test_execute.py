@@ -15,10 +15,10 @@ import pytest
 import toy
 
 from dropout_uncertainty.runs import execute, records
-from dropout_uncertainty.runs.execute import RunError
 from dropout_uncertainty.runs.records import RecordError
+from dropout_uncertainty.runs.unit import RunError, check_device, precision_dtype
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 
 
 @pytest.fixture
@@ -28,8 +28,8 @@ def every_step(monkeypatch):
 
 def child(folder, body):
     """Start a Python process that works on toy units, with a checkpoint after every step."""
-    code = f"from pathlib import Path; import toy; from dropout_uncertainty import runs; folder = Path({str(folder)!r})"
-    code += f"\nruns.CHECKPOINT_SECONDS = -1.0\n{body}"
+    code = "from pathlib import Path\nimport toy\nfrom dropout_uncertainty.runs import execute"
+    code += f"\nfolder = Path({str(folder)!r})\nexecute.CHECKPOINT_SECONDS = -1.0\n{body}"
     return subprocess.Popen([sys.executable, "-c", code], cwd=HERE, stderr=subprocess.PIPE, text=True)
 
 
@@ -45,7 +45,7 @@ def test_killed_at_any_moment_it_continues_to_the_same_arrays(tmp_path):
     expected = execute.run_unit(toy.unit(seconds=0.02), tmp_path / "whole").header["payload"]
     kills = 0
     for pause in (0.0, 0.1, 0.25, 0.05):
-        process = child(tmp_path / "killed", "runs.run_unit(toy.unit(seconds=0.02), folder)")
+        process = child(tmp_path / "killed", "execute.run_unit(toy.unit(seconds=0.02), folder)")
         deadline = time.monotonic() + 60
         while not list(tmp_path.glob("killed/.partial/*.pt")) and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -143,7 +143,7 @@ def test_a_damaged_checkpoint_means_starting_again(tmp_path, checkpoint):
 
 
 def test_two_processes_do_not_compute_the_same_unit(tmp_path):
-    process = child(tmp_path, "runs.run_unit(toy.unit(seconds=0.3), folder)")
+    process = child(tmp_path, "execute.run_unit(toy.unit(seconds=0.3), folder)")
     deadline = time.monotonic() + 60
     while not list(tmp_path.glob(".partial/*.pt")) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -155,7 +155,9 @@ def test_two_processes_do_not_compute_the_same_unit(tmp_path):
 
 def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (600, 600))"
-    attempt = "try:\n    runs.run_unit(toy.unit(), folder)\nexcept runs.RecordError as e:\n    raise SystemExit(str(e))"
+    attempt = (
+        "try:\n    execute.run_unit(toy.unit(), folder)\nexcept execute.RecordError as e:\n    raise SystemExit(str(e))"
+    )
     body = f"{limit}\n{attempt}"
     process = child(tmp_path, body)
     _, errors = process.communicate(timeout=60)
@@ -203,14 +205,14 @@ def test_records_made_on_another_disk_are_brought_here(tmp_path):
 
 
 def test_devices_and_precisions():
-    assert execute.check_device("cpu") == "cpu"
+    assert check_device("cpu") == "cpu"
     with pytest.raises(RunError, match="unknown device"):
-        execute.check_device("tpu")
+        check_device("tpu")
     with pytest.raises(RunError, match="unknown precision"):
-        execute.precision_dtype("float16")
+        precision_dtype("float16")
     if not execute.torch.cuda.is_available():
         with pytest.raises(RunError, match="no CUDA GPU"):
-            execute.check_device("cuda")
+            check_device("cuda")
 
 
 def test_the_provenance_says_where_a_record_comes_from():

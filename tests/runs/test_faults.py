@@ -18,13 +18,13 @@ import pytest
 import toy
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stored import ARRAYS, CONFIG, header, rewrite
 from test_cli import command
-from test_records import ARRAYS, CONFIG, header, rewrite
 
 from dropout_uncertainty.runs import execute, records
 from dropout_uncertainty.runs.records import RecordError
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 #: The same examples each time, and no folder for those that failed.
 steady = settings(deadline=None, derandomize=True, database=None)
 
@@ -34,8 +34,8 @@ def child(folder, body):
     code = f"""
 import os, signal
 from pathlib import Path
-from test_records import ARRAYS, header
-from dropout_uncertainty import records
+from stored import ARRAYS, header
+from dropout_uncertainty.runs import records
 folder = Path({str(folder)!r})
 path = folder / "toy" / "ours" / "a" / "100-101.npz"
 def write(arrays=ARRAYS): return records.write(path, arrays, header())

@@ -1,41 +1,23 @@
 """Records: what is written comes back, and what cannot be trusted is refused with a sentence."""
 
 import io
-import json
 import shutil
 import zipfile
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from stored import ARRAYS, CONFIG, header, rewrite
 
 from dropout_uncertainty import cli
-from dropout_uncertainty.runs import execute, records
+from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import RecordError
-
-ARRAYS = {"error": np.arange(6, dtype=np.float32).reshape(2, 3), "points": np.array([[1, 2]], np.int32)}
-CONFIG = {"rounds": 3, "drop": [0.25, 0.5]}
-
-
-def header(**changes):
-    return {
-        "experiment": "toy", "name": "ours/a", "seeds": [100, 101], "config": CONFIG,
-        "config_hash": records.config_hash(CONFIG), "device": "cpu", "precision": "float32",
-        "provenance": {}, **changes,
-    }  # fmt: skip
+from dropout_uncertainty.runs.unit import differing
 
 
 @pytest.fixture
 def path(tmp_path):
     return records.write(tmp_path / "toy" / "ours" / "a" / "100-101.npz", ARRAYS, header()).path
-
-
-def rewrite(path, **changes):
-    """Write the file again with another header, as somebody who edits it by hand would."""
-    with np.load(path) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    changed = json.loads(arrays.pop(records.HEADER).tobytes()) | changes
-    np.savez(path, **{records.HEADER: np.frombuffer(json.dumps(changed).encode(), np.uint8)}, **arrays)
 
 
 def test_what_is_written_comes_back(path, tmp_path):
@@ -255,4 +237,4 @@ def test_every_published_record_is_intact_and_of_the_config_of_its_name():
         record = records.read(path)
         unit = cli.recorded_unit(record.header)  # raises where the config is another one today
         assert f"{unit.label}.npz" == record.label
-        assert execute.differing(unit, record) == []
+        assert differing(unit, record) == []

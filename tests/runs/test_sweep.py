@@ -5,7 +5,7 @@ import pytest
 from dropout_uncertainty.active_learning import experiment as active_learning
 from dropout_uncertainty.data_efficiency import configs as data_efficiency
 from dropout_uncertainty.exploration import experiment as exploration
-from dropout_uncertainty.runs.execute import RunError
+from dropout_uncertainty.runs.unit import RunError
 
 #: A config of each kind, the precision of its records, others that it runs in, one that it does not, seeds of a unit.
 KINDS = [

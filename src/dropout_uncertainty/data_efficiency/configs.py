@@ -3,16 +3,17 @@
 from collections.abc import Sequence
 from typing import Any
 
-from dropout_uncertainty.data_efficiency.ablations import variants
+from dropout_uncertainty.data_efficiency.ablations import doubt, literal, mchutchon, variants
 from dropout_uncertainty.data_efficiency.deep_pilco import learner as deep_pilco
 from dropout_uncertainty.data_efficiency.pilco import learner as pilco
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit
+from dropout_uncertainty.runs.unit import Unit
 
 __all__ = ["CONFIGS", "units"]
 
-SWEEPS = (*pilco.SWEEPS, *deep_pilco.SWEEPS, *variants.SWEEPS)
-CONFIGS: dict[str, Any] = {**pilco.CONFIGS, **deep_pilco.CONFIGS, **variants.CONFIGS}
+MODULES = (pilco, deep_pilco, variants, doubt, literal, mchutchon)
+SWEEPS = tuple(sweep for module in MODULES for sweep in module.SWEEPS)
+CONFIGS: dict[str, Any] = {name: config for sweep in SWEEPS for name, config in sweep.configs.items()}
 
 
 def units(

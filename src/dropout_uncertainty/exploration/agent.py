@@ -74,6 +74,7 @@ class Agent:
         self.hold, self.draws_until = hold, np.inf if draws_until is None else draws_until
         # the draw of every tick is the last one of the learning step, unless it differs from those
         own_draws = policy.draws_weights and (hold > 1 or drop_acting is not None)
+        self.chunk: int | None = None
         self.drop_acting = tuple(self.drop if drop_acting is None else drop_acting) if own_draws else None
         self.ones: dict[int, Tensor] = {}
         self.batch, self.learning_start = batch, learning_start
@@ -91,6 +92,7 @@ class Agent:
 
     def prepare(self, chunk: int, holding_out: bool = False) -> None:
         """Draw the random numbers for the ticks of a chunk (0, 1, ...); ``holding_out``: transitions are kept aside."""
+        self.chunk = chunk
         storing = chunk * CHUNK + 1 + np.arange(CHUNK) >= 3  # a transition needs two states, a state two readings
         uniform = self._uniform("replay", chunk, 1 + self.batch)
         self.store_in = self.memory
@@ -124,8 +126,13 @@ class Agent:
         """Take in what the eyes sense at ``tick``, learn, and return the actions and which of them explore.
 
         An action explores if the network without dropout values another one higher, or if there are no values yet.
+
+        Raises:
+            ValueError: if ``tick`` does not lie in the chunk last prepared.
         """
-        step = (tick - 1) % CHUNK
+        chunk, step = divmod(tick - 1, CHUNK)
+        if chunk != self.chunk:
+            raise ValueError(f"tick {tick} is not prepared for: call prepare({chunk}) first")
         self._take_in(inputs, tick, step)
         chance = Chance(*(numbers[step] for numbers in self.chance))
         if self.memory.size > self.learning_start:
@@ -178,7 +185,7 @@ class Agent:
         masks = self.masks.at(step)
         if self.drop_acting is None:
             return masks
-        held = self.held.at(step // self.hold if self.hold < CHUNK else 0)
+        held = self.held.at(step // self.hold)
         return tuple(self._with_held(layer, mask, held[layer]) for layer, mask in enumerate(masks))
 
     def _with_held(self, layer: int, mask: Tensor | None, held: Tensor | None) -> Tensor | None:

@@ -1,126 +1,35 @@
 """The experiments of section 5.3: agents learning in the 2D world, all seeds of a config at once."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.bayes import check_probability
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.agent import CHUNK, STATE_SIZE, Agent
+from dropout_uncertainty.exploration.config import BLOCK, NO_DROPOUT, AgentConfig, Config, check_seeds, make_policy
 from dropout_uncertainty.exploration.foraging import world
-from dropout_uncertainty.exploration.foraging.world import Rules, World
-from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
+from dropout_uncertainty.exploration.foraging.world import World
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit, precision_dtype
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit, precision_dtype
 
 __all__ = [
     "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "TWO_BY_TWO", "WIDE", "AgentConfig", "Config", "Foraging",
     "start", "units",
 ]  # fmt: skip
 
-#: Ticks per block, the unit in which results are kept: one point of the demo's plot.
-BLOCK = 500
 #: The final weights of this many seeds are kept, for animations.
 KEPT_WEIGHTS = 2
 EXPERIMENT = "exploration"
 
 
-NO_DROPOUT = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class AgentConfig:
-    """What distinguishes the agents of one world."""
-
-    policy: str
-    """Behaviour policy, a key of ``POLICIES``."""
-    drop: tuple[float, ...] = NO_DROPOUT
-    """Drop probability before each weight layer: inputs, hidden 1, hidden 2."""
-    drop_acting: tuple[float, ...] | None = field(default=None, metadata={"before": None})
-    """Drop probabilities of the draws that are acted on; None: those of learning. Ours."""
-    hold: int = field(default=1, metadata={"before": 1})
-    """Ticks for which a draw is held in acting; the thesis takes a new one at every tick. Ours."""
-    draws_until: int | None = field(default=None, metadata={"before": None})
-    """Last tick at which a draw is acted on, later the mean weights; None: no end. Ours, after footnote 4."""
-
-
 #: The demo's Thompson agent has one dropout layer, behind the first hidden one (rl_demo.html), the text's has three.
 THOMPSON_OF_DEMO = AgentConfig("thompson", (0.0, 0.2, 0.0))
 THOMPSON_OF_TEXT = AgentConfig("thompson", (0.1, 0.1, 0.1))
-
-
-@dataclass(frozen=True)
-class Config:
-    """One experiment. Sources: rl_demo.html and deepqlearn.js of the demo, unless said otherwise."""
-
-    agents: tuple[AgentConfig, ...]
-    """The agents; more than one share a world and its items."""
-    ticks: int
-    """Length of a run; the demo runs until it is stopped."""
-    hidden: tuple[int, ...] = (50, 50)
-    """Widths of the hidden layers."""
-    burn_in: int = 3000
-    """Transitions in memory before agents stop acting at random; the thesis says 25 batches."""
-    anneal_end: int = 200_000
-    """Tick at which ε would reach 0 if it did not stop at its floor."""
-    epsilon_floor: float = 0.05
-    """Smallest ε."""
-    temperature_start: float = 0.1
-    """Temperature at the end of the burn-in, in units of Q; ours, see ``Boltzmann``."""
-    temperature_end: float = 0.003
-    """Last temperature, in units of Q; ours."""
-    cooling_end: int = 200_000
-    """Tick at which the temperature reaches its end, having fallen geometrically; ours."""
-    memory: int = 30_000
-    """Transitions in the replay memory."""
-    learning_start: int = 1000
-    """Learning begins when the memory holds more transitions than this."""
-    batch: int = 64
-    """Transitions per learning step, drawn with replacement; one step per tick, the thesis's "batch"."""
-    discount: float = 0.7
-    """γ."""
-    learning_rate: float = 0.001
-    """Step size of gradient descent on the mean over the minibatch."""
-    l2_decay: float = 0.01
-    """Weight decay; convnetjs divides it by the batch size."""
-    held_out_every: int = 0
-    """Each n-th block of transitions is kept from learning, to measure TD errors on it; 0: none. Ours."""
-    rules: Rules = field(default_factory=Rules)
-    """Rules of the world."""
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-def check(config: Config) -> None:
-    """Raise ValueError where a config makes no sense."""
-    if not config.agents:
-        raise ValueError("a config needs at least one agent, got none")
-    if config.ticks < BLOCK or config.ticks % BLOCK:
-        raise ValueError(f"ticks must be a positive multiple of {BLOCK}, got {config.ticks}")
-    for agent in config.agents:
-        if agent.policy not in POLICIES:
-            raise ValueError(f"unknown policy {agent.policy!r}, choose one of {', '.join(POLICIES)}")
-        if len(agent.drop) != len(config.hidden) + 1:
-            raise ValueError(f"expected {len(config.hidden) + 1} drop probabilities per agent, got {agent.drop}")
-        for p in agent.drop:
-            check_probability(p)
-    if config.burn_in <= config.learning_start:
-        raise ValueError(f"burn_in must exceed learning_start ({config.learning_start}), got {config.burn_in}")
-    if config.anneal_end <= config.burn_in:
-        raise ValueError(f"anneal_end must exceed burn_in ({config.burn_in}), got {config.anneal_end}")
-    if config.cooling_end <= config.burn_in:
-        raise ValueError(f"cooling_end must exceed burn_in ({config.burn_in}), got {config.cooling_end}")
-    if not 0 < config.temperature_end <= config.temperature_start:
-        raise ValueError(
-            f"temperatures must be positive and fall, got {config.temperature_start} to {config.temperature_end}"
-        )
-    if config.held_out_every == 1 or config.held_out_every < 0:
-        raise ValueError(f"held_out_every must be 0 or at least 2, got {config.held_out_every}")
 
 
 #: The demo: both agents in one world.
@@ -152,9 +61,10 @@ WIDE = {
     )
 }
 #: Is it exploration? Learning with and without dropout, by acting on a draw and on the mean weights (the four primary
-#: ones, first); draws no longer acted on in the second half; draws held for longer; and ε-greedy on the same seeds.
+#: ones, first); draws no longer acted on in the second half; draws held for longer; and ε-greedy on the same seeds,
+#: with its own schedule and with one ten times shorter from the end of the burn-in (197,000 ticks to 19,700).
 TWO_BY_TWO = {
-    name: replace(OURS["thompson"], agents=(agent,))
+    f"two-by-two/{name}": replace(OURS["thompson"], agents=(agent,))
     for name, agent in (
         ("dropout-draw", THOMPSON_OF_DEMO),
         ("dropout-mean", AgentConfig("greedy", THOMPSON_OF_DEMO.drop)),
@@ -165,12 +75,13 @@ TWO_BY_TWO = {
         ("epsilon-greedy", AgentConfig("epsilon-greedy")),
     )
 }
+TWO_BY_TWO["two-by-two/epsilon-greedy-short"] = replace(TWO_BY_TWO["two-by-two/epsilon-greedy"], anneal_end=22_700)
+#: The configs of the chapter's own notebook.
 PUBLISHED = {
     "as-demo": AS_DEMO,
     "as-written": AS_WRITTEN,
     **{f"ours-{name}": config for name, config in OURS.items()},
     **WIDE,
-    **{f"two-by-two/{name}": config for name, config in TWO_BY_TWO.items()},
 }
 
 
@@ -178,24 +89,21 @@ def shortened(config: Config) -> Config:
     """Return the version of a config for profile ``quick``."""
     if config.held_out_every:
         return replace(config, ticks=4_500, held_out_every=3)
-    agents = tuple(replace(agent, draws_until=agent.draws_until and 6_000) for agent in config.agents)
-    return replace(config, agents=agents, ticks=15_000 if len(agents) > 1 else 9_000)
+    return replace(config, ticks=15_000 if len(config.agents) > 1 else 9_000)
 
 
-CONFIGS: dict[str, Config] = PUBLISHED | {f"quick/{name}": shortened(config) for name, config in PUBLISHED.items()}
+def shortest(config: Config) -> Config:
+    """Return the same for the many agents of ``TWO_BY_TWO``."""
+    agents = tuple(replace(agent, draws_until=agent.draws_until and 4_500) for agent in config.agents)
+    return replace(config, agents=agents, ticks=6_000)
 
 
-def make_policy(name: str, config: Config) -> Policy:
-    """Return the policy of that name with the settings of the config."""
-    temperatures = {
-        "start": config.temperature_start, "end": config.temperature_end, "cooling_end": config.cooling_end,
-    }  # fmt: skip
-    settings: dict[str, dict[str, Any]] = {
-        "epsilon-greedy": {"anneal_end": config.anneal_end, "floor": config.epsilon_floor},
-        "boltzmann": temperatures,
-        "annealed-thompson": temperatures,
-    }
-    return policy(name, burn_in=config.burn_in, **settings.get(name, {}))
+CONFIGS: dict[str, Config] = {
+    **PUBLISHED,
+    **TWO_BY_TWO,
+    **{f"quick/{name}": shortened(config) for name, config in PUBLISHED.items()},
+    **{f"quick/{name}": shortest(config) for name, config in TWO_BY_TWO.items()},
+}
 
 
 class Foraging:
@@ -210,9 +118,9 @@ class Foraging:
     def __init__(
         self, config: Config, seeds: Sequence[int], *, device: str = "cpu", precision: str = "float32"
     ) -> None:
-        if not seeds:
-            raise ValueError("at least one seed is needed, got none")
-        self.config, self.seeds = config, tuple(seeds)
+        if precision not in ("float32", "float64"):
+            raise UserError(f"the agents of section 5.3 compute in float32 or float64, not in {precision!r}")
+        self.config, self.seeds = config, check_seeds(seeds)
         self.total, self.done = config.ticks // BLOCK, 0
         layout = rng.stacked(lambda g: torch.rand(world.ITEMS, 3, dtype=torch.float64, generator=g),
                              self.seeds, "environment", "start")  # fmt: skip

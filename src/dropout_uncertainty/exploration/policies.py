@@ -59,6 +59,13 @@ class EpsilonGreedy:
     floor: float = 0.05
     draws_weights: ClassVar[bool] = False
 
+    def __post_init__(self) -> None:
+        """Check the schedule; raises ValueError."""
+        if self.anneal_end <= self.burn_in:
+            raise ValueError(f"anneal_end must exceed burn_in ({self.burn_in}), got {self.anneal_end}")
+        if not 0 <= self.floor <= 1:
+            raise ValueError(f"the floor of epsilon must be a probability, got {self.floor}")
+
     def epsilon(self, tick: int) -> float:
         """Return the probability of a random action at ``tick``."""
         learned = (tick - 1 - self.burn_in) / (self.anneal_end - self.burn_in)
@@ -101,6 +108,13 @@ class Boltzmann:
     start: float = 0.1
     end: float = 0.003
     draws_weights: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        """Check the schedule; raises ValueError."""
+        if self.cooling_end <= self.burn_in:
+            raise ValueError(f"cooling_end must exceed burn_in ({self.burn_in}), got {self.cooling_end}")
+        if not 0 < self.end <= self.start < np.inf:
+            raise ValueError(f"temperatures must be positive and fall, got {self.start} to {self.end}")
 
     def temperature(self, tick: int) -> float:
         """Return τ at ``tick``, in units of Q."""

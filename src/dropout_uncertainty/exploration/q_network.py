@@ -45,6 +45,9 @@ class QNetwork:
 
     Weights start from N(0, 1/fan-in), biases at 0.1 in hidden layers and at 0 in the last (convnetjs).
 
+    Raises:
+        ValueError: if there are fewer than two widths, or one is below 1.
+
     ``weights[l]`` [R, in, out] and ``biases[l]`` [R, 1, out] are views of ``parameters`` [R, P].
     """
 
@@ -56,6 +59,8 @@ class QNetwork:
         dtype: torch.dtype = torch.float32,
         device: str = "cpu",
     ) -> None:
+        if len(sizes) < 2 or min(sizes) < 1:
+            raise ValueError(f"expected the widths of inputs, hidden layers and outputs, each at least 1, got {sizes}")
         self.sizes, self.seeds = tuple(sizes), tuple(seeds)
         self.layers = len(sizes) - 1
         pairs = list(zip(self.sizes[:-1], self.sizes[1:], strict=True))
@@ -173,7 +178,12 @@ def keep_units(p: float, generator: Generator, out: Bool[np.ndarray, "..."]) -> 
 
     One random byte decides, and a second number where the byte is not enough, so that the probability is exact. That
     costs a tenth of a Bernoulli variate; the masks of one learning step need sixty thousand.
+
+    Raises:
+        ValueError: if ``out`` is not contiguous, or ``p`` is no probability below 1.
     """
+    if not out.flags.c_contiguous:
+        raise ValueError("expected a contiguous array to write to")
     words = torch.empty(-(-out.size // 8), dtype=torch.int64)
     words.random_(torch.iinfo(torch.int64).min, None, generator=generator)
     level, rest = divmod(256 * check_probability(p), 1)

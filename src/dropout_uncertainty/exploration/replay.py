@@ -36,7 +36,7 @@ class ReplayMemory:
         actions: C, the number of actions.
 
     Raises:
-        ValueError: if ``capacity`` < 1.
+        ValueError: if one of these is below 1.
     """
 
     def __init__(
@@ -49,8 +49,11 @@ class ReplayMemory:
         dtype: torch.dtype = torch.float32,
         device: str = "cpu",
     ) -> None:
-        if capacity < 1:
-            raise ValueError(f"a replay memory holds at least one transition, got a capacity of {capacity}")
+        if min(replicas, capacity, state_size, actions) < 1:
+            raise ValueError(
+                f"a replay memory holds at least one transition of one replica, got a capacity of {capacity}, "
+                f"{replicas} replicas, states of {state_size} numbers and {actions} actions"
+            )
         self.replicas, self.capacity, self.state_size = replicas, capacity, state_size
         self.per_replica = 2 * capacity + 1
         self.memory = torch.zeros(replicas * self.per_replica, state_size + actions, dtype=dtype, device=device)
@@ -101,7 +104,13 @@ class ReplayMemory:
         return torch.index_select(self.memory, 0, rows, out=None if out is None else out.flatten(0, 1)).view(shape)
 
     def spread(self, count: int) -> Tensor:
-        """Return the rows of ``count`` transitions spread evenly over the filled slots: all states, then successors."""
+        """Return the rows of ``count`` transitions spread evenly over the filled slots: all states, then successors.
+
+        Raises:
+            ValueError: if the memory is empty or ``count`` < 1.
+        """
+        if not self.size or count < 1:
+            raise ValueError(f"expected at least one of the transitions held, got {count} of {self.size}")
         slots = np.linspace(0, self.size - 1, count).round().astype(np.int64)
         rows = self.first_row[:, None] + np.concatenate((2 * slots, 2 * slots + 1))
         return torch.from_numpy(rows.reshape(-1)).to(self.memory.device)

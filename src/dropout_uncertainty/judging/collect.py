@@ -10,6 +10,7 @@ from dropout_uncertainty.data_efficiency.ablations.report.statements import CLAI
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.data_efficiency.report.statements import CLAIMS as DATA_EFFICIENCY
 from dropout_uncertainty.exploration.report import analysis as exploration
+from dropout_uncertainty.exploration.report import two_by_two
 from dropout_uncertainty.exploration.report.statements import CLAIMS as EXPLORATION
 from dropout_uncertainty.judging.results import Claim, Result
 
@@ -34,6 +35,6 @@ def collect(folder: Path | None = None) -> list[Result]:
     Raises:
         RecordError: if a record cannot be trusted.
     """
-    sections = (active_learning, exploration, data_efficiency, what_matters)
+    sections = (active_learning, exploration, two_by_two, data_efficiency, what_matters)
     numbers = [number for section in sections for number in section.results(folder)]
     return numbers + [claim.judge(folder).result() for claim in CLAIMS.values()]

@@ -15,8 +15,9 @@ import torch
 from tqdm.auto import tqdm
 
 from dropout_uncertainty.runs import records
-from dropout_uncertainty.runs.execute import Process, Unit, check_device, differing, rounding
+from dropout_uncertainty.runs.process import Process, rounding
 from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.runs.unit import Unit, check_device, differing
 
 __all__ = ["Comparison", "choose", "recompute"]
 

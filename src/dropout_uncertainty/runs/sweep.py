@@ -6,7 +6,8 @@ from typing import Any
 
 import torch
 
-from dropout_uncertainty.runs.execute import Process, RunError, Unit
+from dropout_uncertainty.runs.process import Process
+from dropout_uncertainty.runs.unit import RunError, Unit
 
 __all__ = ["Sweep", "units"]
 

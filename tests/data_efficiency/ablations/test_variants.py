@@ -11,6 +11,7 @@ from dropout_uncertainty.data_efficiency.ablations import probes, scaling, varia
 from dropout_uncertainty.data_efficiency.ablations.variants import BASE, CONFIGS, MECHANISM, VARIANTS
 from dropout_uncertainty.data_efficiency.deep_pilco import learner as experiment
 from dropout_uncertainty.data_efficiency.deep_pilco import planning
+from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import MeanDynamics
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
@@ -76,7 +77,7 @@ def test_the_command_line_knows_the_family():
     modules = cli.config_modules("data_efficiency")
     assert cli.config_names("what-matters", modules) == list(CONFIGS)
     for name in CONFIGS:
-        assert modules[name] is variants
+        assert modules[name].CONFIGS[name] is CONFIGS[name]
         (unit,) = variants.units(name, range(10))
         assert unit.label == f"data_efficiency/{name}/000-009"
     with pytest.raises(UserError, match="unknown config 'what-matters/nothing'"):
@@ -98,8 +99,8 @@ def test_a_sure_planner_has_the_same_network_and_no_masks(ours):
     # trial 1 is fitted to the same random trial, so the loss is the same: training keeps its dropout
     torch.testing.assert_close(process.log["model_loss"][:, 1], ours.log["model_loss"][:, 1])
     assert not torch.equal(process.log["predicted_mean"][:, 1], ours.log["predicted_mean"][:, 1])
-    view = variants.MeanDynamics.of(process.model)
-    assert type(view.select([1])) is variants.MeanDynamics
+    view = process.model.mean()
+    assert type(view.select([1])) is MeanDynamics
     (draws,) = planning.draw(view, process.config.plant, process.config, 4, "test")
     x = torch.randn(2, 4, 6, generator=generator(100, "test"), dtype=torch.float64)
     torch.testing.assert_close(draws.functions[0](x), process.model.function(None)(x))

@@ -194,3 +194,19 @@ def test_bad_input_is_named():
         replace(SHORT, integration="exact")
     with pytest.raises(ValueError, match="5 positive spreads"):
         replace(SHORT, spread=(1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"drop": 1.0}, "drop probabilities"),
+        ({"guard": 2.0}, "drop probabilities"),
+        ({"model_rate": 0.0}, "positive step size"),
+        ({"length_scale": -1.0}, "positive step size"),
+        ({"hidden": ()}, "expected layers"),
+        ({"activation": "tanh"}, "expected layers"),
+    ],
+)
+def test_settings_that_cannot_work_are_named_at_once(change, words):
+    with pytest.raises(ValueError, match=words):
+        replace(SHORT, **change)

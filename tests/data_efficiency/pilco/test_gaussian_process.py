@@ -68,6 +68,27 @@ def test_fit_finds_noise_relevance_and_the_function():
     assert (posterior(new) - truth).abs().mean() < 0.05
 
 
+def test_columns_that_do_not_vary_and_a_single_transition_are_fitted():
+    x, y = line(30)
+    x[..., 1], y[0, 0] = 3.0, 0.5
+    fitted, found = gp.fit_hyper(x, y, gp.initial_hyper(x, y), 50)
+    assert found.value.isfinite().all()
+    assert (found.repairs == 0).all()
+    posterior, repaired = gp.GaussianProcess(x, y, fitted).posterior()
+    assert repaired.sum() == 0
+    values = posterior(x)
+    torch.testing.assert_close(values[0, :, 0], y[0, 0], rtol=0, atol=0.01)  # the constant
+    torch.testing.assert_close(values[1, :, 0], y[1, 0], rtol=0, atol=0.3)  # learned as ever
+    assert gp.initial_inducing(x, 5, [100, 101]).isfinite().all()
+
+    x, y = x[:, :1], y[..., :1]
+    hyper = gp.initial_hyper(x, y)
+    fitted, _ = gp.fit_hyper(x, y, hyper, 5)
+    torch.testing.assert_close(fitted, hyper)
+    posterior, _ = gp.GaussianProcess(x, y, fitted).posterior()
+    torch.testing.assert_close(posterior(x)[:, 0], y[..., 0], rtol=0.02, atol=0.0)
+
+
 def test_gradient_by_finite_differences_over_a_batch():
     x, y = line(12, replicas=3)
     hyper = gp.initial_hyper(x, y)[:, 0] + 0.3
@@ -116,6 +137,12 @@ def test_hopeless_covariances_and_missing_data_are_named():
         gp.robust_cholesky(torch.tensor([[[1.0, 2.0], [2.0, 1.0]]], dtype=torch.float64))
     with pytest.raises(ValueError, match="at least one transition"):
         gp.GaussianProcess(torch.zeros(1, 0, 3), torch.zeros(1, 2, 0), torch.zeros(1, 2, 5))
+    x, y = line(5)
+    with pytest.raises(ValueError, match="in float64, got"):
+        gp.GaussianProcess(x.float(), y.float(), gp.initial_hyper(x, y))
+    y[1, 1, 2] = math.nan
+    with pytest.raises(ValueError, match=r"NaN or infinity in the target columns \[1\]"):
+        gp.initial_hyper(x, y)
     with pytest.raises(ValueError, match=r"got shapes \(1, 4, 3\), \(1, 2, 5\)"):
         gp.GaussianProcess(torch.zeros(1, 4, 3), torch.zeros(1, 2, 5), torch.zeros(1, 2, 5))
 

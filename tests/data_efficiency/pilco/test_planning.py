@@ -159,6 +159,20 @@ def test_a_trial_without_doubt_follows_the_model_s_mean():
     torch.testing.assert_close(again[:, 1], points[:, 2])
 
 
+def test_the_mean_of_a_model_has_the_moments_of_plain_functions():
+    """Fixed functions take the path with gradients by hand; those of any others are autograd's."""
+    model, plant, shape, parameters = toy()
+    fixed, free = model.mean_function(), replace(model, precision=None)
+    values = [planning.objective(f, plant, shape, parameters) for f in (fixed, free, model)]
+    for mine, plain, doubting in zip(*values, strict=True):
+        torch.testing.assert_close(mine, plain, rtol=1e-7, atol=1e-9)
+        assert not torch.allclose(mine, doubting, rtol=1e-6)
+    assert fixed.select([1]).fixed
+    certain = Gaussian(torch.zeros(2, 6, dtype=torch.float64), torch.zeros(2, 6, 6, dtype=torch.float64))
+    assert fixed.moments(certain).cov.abs().max() < 1e-12
+    assert model.moments(certain).cov.diagonal(dim1=-2, dim2=-1).min() > 1e-6
+
+
 def test_a_replica_alone_improves_as_among_others():
     model, plant, shape, parameters = toy(replicas=3)
     together = planning.improve(model, plant, shape, parameters, 5)

@@ -153,3 +153,35 @@ def test_bad_input_is_named():
         cartpole.rollout(PAPER, torch.zeros(1, 4), lambda x, t: x[:, 0] * torch.nan, torch.zeros(1, 26, 4))
     with pytest.raises(ValueError, match="expected 25 costs"):
         solved(PAPER, torch.zeros(3, 40))
+    with pytest.raises(ValueError, match="cannot be judged on its last 5"):
+        solved(replace(PAPER, steps=3), torch.zeros(3, 3))
+    with pytest.raises(ValueError, match=r"got list: use torch\.as_tensor"):
+        cartpole._check_states([0.0, 0.0, 0.0, 3.1])
+
+
+@pytest.mark.parametrize("shape", [(2,), (3, 1)])
+def test_forces_that_fit_no_state_are_named(shape):
+    with pytest.raises(ValueError, match="one force per state"):
+        cartpole.step(PAPER, torch.zeros(3, 4), torch.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"start_mean": (0.0, 0.0, 0.0, 180.0)}, "is it in degrees?"),
+        ({"pole_length": 0.0}, "positive lengths"),
+        ({"dt": math.nan}, "positive lengths"),
+        ({"start_std": -0.1}, "no negative"),
+        ({"steps": 0}, "a step or more"),
+        ({"solved_steps": 0}, "a step or more"),  # would be judged on all steps
+    ],
+)
+def test_plants_that_cannot_be_are_named(change, words):
+    with pytest.raises(ValueError, match=words):
+        replace(PAPER, **change)
+
+
+def test_a_plant_that_does_not_move_is_a_plant():
+    still = replace(PAPER, force_limit=0.0, start_std=0.0, observation_noise=0.0, gravity=0.0)
+    state = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64)
+    torch.testing.assert_close(cartpole.step(still, state, torch.zeros(()).double(), 2), state)

@@ -12,11 +12,11 @@ from dropout_uncertainty.data_efficiency.plant.cost import cost
 from dropout_uncertainty.errors import UserError
 
 
-def test_without_gymnasium_the_error_names_the_extra(monkeypatch):
+def test_without_gymnasium_the_error_says_what_to_install(monkeypatch):
     name = "dropout_uncertainty.data_efficiency.plant.environment"
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     monkeypatch.delitem(sys.modules, name, raising=False)
-    with pytest.raises(UserError, match=r"dropout-uncertainty\[gym\]"):
+    with pytest.raises(UserError, match="pip install gymnasium"):
         __import__(name)
     monkeypatch.delitem(sys.modules, name, raising=False)
 
@@ -58,5 +58,15 @@ def test_misuse_is_named(make):
     with pytest.raises(UserError, match="call reset first"):
         env.step(np.zeros(1, dtype=np.float32))
     env.reset(seed=100)
-    with pytest.raises(UserError, match="one finite number"):
-        env.step(np.array([np.nan], dtype=np.float32))
+    for action in (np.array([np.nan], dtype=np.float32), 10.0, [0.1, 0.2], np.array([[1.01]])):
+        with pytest.raises(UserError, match=r"one number in \[-1, 1\], the share of 10 N"):
+            env.step(action)
+
+
+def test_a_number_a_list_and_an_array_are_the_same_action(make):
+    states = []
+    for action in (0.5, [0.5], np.float32(0.5), np.array([0.5], dtype=np.float32), np.array([[0.5]])):
+        env = make()
+        env.reset(seed=100)
+        states.append(env.step(action)[4]["state"])
+    assert all(np.array_equal(state, states[0]) for state in states)

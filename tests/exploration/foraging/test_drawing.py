@@ -74,7 +74,7 @@ def test_scene_is_a_copy_of_one_replica(ax):
 
 def test_rollout_is_the_world_of_the_experiments():
     """With the actions of an agent that learns, the world goes through the same states."""
-    config = replace(experiment.OURS["thompson"], ticks=500)
+    config = replace(experiment.OURS["thompson"], ticks=3_500)
     process = experiment.start(config, (100, 101))
     act, taken = process.agents[0].act, []
 

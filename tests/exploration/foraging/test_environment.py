@@ -74,11 +74,23 @@ def test_observations_stay_inside_their_space(make):
 
 
 def test_misuse_is_named(make):
-    with pytest.raises(UserError, match="at least one tick, got 0"):
+    with pytest.raises(UserError, match="at least one, got 0"):
         make(0)
     env = make()
     with pytest.raises(UserError, match="call reset first"):
         env.step(0)
     env.reset(seed=100)
-    with pytest.raises(UserError, match="from 0 to 4, got 5"):
-        env.step(5)
+    for action in (5, -1):
+        with pytest.raises(UserError, match=f"from 0 to 4, got {action}"):
+            env.step(action)
+    assert env.world.clock == 0
+    with pytest.raises(UserError, match="a whole number of ticks"):
+        make(-5)
+
+
+@pytest.mark.parametrize("action", [2, np.int8(2), np.int64(2)])
+def test_integers_of_all_kinds_are_actions(make, action):
+    env, other = make(), make()
+    env.reset(seed=100)
+    other.reset(seed=100)
+    np.testing.assert_array_equal(env.step(action)[0], other.step(2)[0])

@@ -87,3 +87,25 @@ def test_every_tick_of_the_original_is_reproduced(name):
         assert world.item_kind[0, slot] == item["type"]
         np.testing.assert_allclose([world.item_x[0, slot], world.item_y[0, slot]], [item["x"], item["y"]], atol=1e-9)
         assert world.clock - world.item_born[0, slot] == item["age"]
+
+
+def test_what_a_step_cannot_use_is_refused_and_changes_nothing():
+    values = np.random.default_rng(100)
+    world = w.World(values.random((2, w.ITEMS, 3)), agents=1)
+    straight = np.zeros((2, 1), dtype=int)
+    for actions in (straight - 1, straight + 5):
+        with pytest.raises(ValueError, match="expected actions from 0 to 4"):
+            world.step(actions)
+    assert world.clock == 0
+    for _ in range(9):
+        world.step(straight)
+    for spawning in (None, 2 * np.ones((2, 4))):
+        with pytest.raises(ValueError, match="a new item, due at clock 10"):
+            world.step(straight, spawning=spawning)
+    assert world.clock == 9
+
+
+def test_a_layout_of_the_wrong_shape_or_range_is_refused():
+    for layout in (np.zeros((1, 29, 3)), np.ones((1, 30, 3)), np.full((1, 30, 3), np.nan)):
+        with pytest.raises(ValueError, match="the first items"):
+            w.World(layout)

@@ -5,21 +5,18 @@ that a variant and `OURS` pair up seed by seed. Beside them stand two measuremen
 looks into the learner `OURS` while it learns, `scaling` takes times on synthetic transitions.
 """
 
-import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from dropout_uncertainty.bayes import Masks
 from dropout_uncertainty.data_efficiency.ablations.probes import Mechanism, MechanismConfig
 from dropout_uncertainty.data_efficiency.ablations.scaling import Scaling, ScalingConfig
 from dropout_uncertainty.data_efficiency.deep_pilco import learner
-from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, SearchRun
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit, precision_dtype
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit, precision_dtype
 
 __all__ = ["CONFIGS", "FAMILY", "TRIALS", "VARIANTS", "Variant", "VariantConfig", "VariantRun", "start", "units"]
 
@@ -30,11 +27,10 @@ TRIALS = 20
 
 @dataclass(frozen=True)
 class VariantConfig(DeepPilcoConfig):
-    """The learner of `deep_pilco.learner` with one more choice."""
+    """The learner of `deep_pilco.learner`; `doubt` is part of the published identity of these configs."""
 
     doubt: bool = True
-    """The controller is improved on draws of the weights. Otherwise on the mean network (weight scaling): a model that
-    was trained with dropout and is sure of itself."""
+    """The controller is improved on draws of the weights (`DeepPilcoConfig.doubt`)."""
 
 
 #: `OURS` for fewer trials: what a variant differs from in its named fields alone.
@@ -91,42 +87,10 @@ CONFIGS: dict[str, VariantConfig | MechanismConfig | ScalingConfig] = {
 }
 
 
-class MeanDynamics(DropoutDynamics):
-    """The mean networks of trained ones, in the place of their draws."""
-
-    @classmethod
-    def of(cls, model: DropoutDynamics) -> "MeanDynamics":
-        """Return the view of a model; parameters and scaling are shared."""
-        view = object.__new__(cls)
-        view.__dict__.update(model.__dict__)
-        return view
-
-    def draw(self, count: int, *path: str | int) -> Masks:
-        """Return no masks: the deterministic pass."""
-        return (None,) * len(self.drop)
-
-
 class VariantRun(SearchRun):
     """A variant's learner, with a small record."""
 
     KEPT = ("costs", "predicted_cost")
-    config: VariantConfig
-
-    def _improve(self) -> None:
-        with self._planning():
-            super()._improve()
-
-    def _predict(self) -> None:
-        with self._planning():
-            super()._predict()
-
-    @contextlib.contextmanager
-    def _planning(self) -> Iterator[None]:
-        """Give the controller the model that it is improved on."""
-        trained = self.model
-        self.model = trained if self.config.doubt else MeanDynamics.of(trained)
-        yield
-        self.model = trained
 
 
 def start(

@@ -127,6 +127,12 @@ class DropoutDynamics:
         biases[-1] = biases[-1] * self.target_std + self.target_mean
         return DrawnFunction(tuple(weights), tuple(biases), masks[0], self.activation, self.angle_features)
 
+    def mean(self) -> "MeanDynamics":
+        """Return the mean networks (weight scaling) in the place of their draws; parameters and scaling are shared."""
+        view = object.__new__(MeanDynamics)
+        view.__dict__.update(self.__dict__)
+        return view
+
     def select(self, replicas: Sequence[int]) -> "DropoutDynamics":
         """Return a copy with some of the replicas."""
         rows = list(replicas)
@@ -174,11 +180,14 @@ class DropoutDynamics:
 
         Returns:
             The objective [nats per transition, standardised targets], its likelihood averaged over the last tenth of
-            the steps; and how often a gradient was not finite and left out.
+            the steps; and how often the likelihood was not finite and its gradient left out. A gradient that is not
+            finite where the likelihood is breaks the network, which then begins anew at the next fit.
 
         Raises:
             ValueError: if inputs and targets do not have one row per transition each, or hold NaN or infinity.
         """
+        if steps < 1 or batch < 1:
+            raise ValueError(f"expected a step or more of a transition or more, got {steps} and {batch}")
         self._check(inputs, targets)
         repairs = self._restart_broken()
         x, y = self._scale(inputs, targets)
@@ -213,6 +222,9 @@ class DropoutDynamics:
         return late + self._penalty(decays), repairs
 
     def _check(self, inputs: Tensor, targets: Tensor) -> None:
+        for data in (inputs, targets):
+            if not isinstance(data, Tensor):
+                raise ValueError(f"expected tensors of transitions, got {type(data).__name__}: use torch.as_tensor")
         runs, width, outputs = len(self.seeds), self.sizes[0], self.sizes[-1]
         shapes = tuple(inputs.shape), tuple(targets.shape)
         expected = (runs, inputs.shape[1], width), (runs, inputs.shape[1], outputs)
@@ -270,6 +282,14 @@ class DropoutDynamics:
                 p.copy_(state[name])
         for name in ("input_mean", "input_std", "target_mean", "target_std"):
             setattr(self, name, state[name].to(self.log_noise))
+
+
+class MeanDynamics(DropoutDynamics):
+    """A model that is sure of itself: networks trained with dropout, followed by all particles without it."""
+
+    def draw(self, count: int, *path: str | int) -> Masks:
+        """Return no masks: the deterministic pass."""
+        return (None,) * len(self.drop)
 
 
 def _scaling(data: Tensor) -> tuple[Tensor, Tensor]:

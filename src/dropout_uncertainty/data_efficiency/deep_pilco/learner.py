@@ -13,16 +13,27 @@ from dropout_uncertainty import rng
 from dropout_uncertainty.data_efficiency import policies
 from dropout_uncertainty.data_efficiency.deep_pilco import particles, planning
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
-from dropout_uncertainty.data_efficiency.deep_pilco.planning import Planning
+from dropout_uncertainty.data_efficiency.deep_pilco.ensemble import Ensemble
+from dropout_uncertainty.data_efficiency.deep_pilco.planning import Dynamics, Planning
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole, Rollout
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.execute import Unit, precision_dtype
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit, precision_dtype
 
-__all__ = ["AS_WRITTEN", "CONFIGS", "OURS", "SEARCH", "DeepPilcoConfig", "DeepPilcoLearning", "start", "units"]
+__all__ = [
+    "AS_TEXT",
+    "AS_WRITTEN",
+    "CONFIGS",
+    "OURS",
+    "SEARCH",
+    "DeepPilcoConfig",
+    "DeepPilcoLearning",
+    "start",
+    "units",
+]
 
 #: Trials whose controllers are kept, for the animations and figure 5.8.
 SHOWN = (1, 2, 3, 5, 10, 20, 26, 40)
@@ -83,6 +94,12 @@ class DeepPilcoConfig(Planning):
     """A controller whose predicted cost per step stays above this is drawn anew; 1, as in thesis and paper: never."""
     redraws: int = 2
     """How often at most, per trial."""
+    doubt: bool = field(default=True, metadata={"before": True})
+    """The controller is improved on draws of the weights. Otherwise on the mean network (weight scaling): a model that
+    was trained with dropout and is sure of itself. With an ensemble, on its members or on the mean of their outputs."""
+    ensemble: int = field(default=1, metadata={"before": 1})
+    """Networks without dropout, each with its own first weights and minibatches, that share the particles; 1, as in
+    thesis and paper: one network."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -92,6 +109,20 @@ class DeepPilcoConfig(Planning):
             raise ValueError(f"trials, basis functions, steps and batch must be positive, got {asdict(self)}")
         if len(self.spread) != planning.DIM or min(self.spread) <= 0:
             raise ValueError(f"expected {planning.DIM} positive spreads, one per feature, got {self.spread}")
+        if min(self.model_rate, self.length_scale) <= 0 or self.weight_std < 0:
+            raise ValueError(f"expected a positive step size and length-scale, and a spread of weights, got {self}")
+        shares = (self.drop, self.input_drop, self.model_final_rate, self.guard)
+        if not all(0 <= share <= 1 for share in shares) or max(self.drop, self.input_drop) == 1:
+            raise ValueError(f"expected drop probabilities in [0, 1), final rate and guard in [0, 1], got {shares}")
+        if self.activation not in ("relu", "sigmoid") or not self.hidden or min(self.hidden) < 1:
+            raise ValueError(f"expected layers of relu or sigmoid units, got {self.activation} and {self.hidden}")
+        if self.ensemble < 1 or (self.ensemble > 1 and (self.drop or self.input_drop)):
+            raise ValueError(f"expected one network, or several without dropout, got {self.ensemble} with {self.drop}")
+        if self.particles % self.ensemble or PREDICTED % self.ensemble:
+            raise ValueError(
+                f"the {self.ensemble} networks of an ensemble share {self.particles} particles, {PREDICTED} in the "
+                "recorded prediction: expected equally many for each"
+            )
 
 
 #: Robust choices: the best of the search on development seeds (`SEARCH`), frozen before the published seeds were run.
@@ -112,13 +143,21 @@ AS_WRITTEN = replace(
     memory=10,
     guard=1.0,
 )
+#: What the thesis says and nothing else: the network learns from all transitions, and is given the state as it is. The
+#: paper's numbers stand where the thesis has none.
+AS_TEXT = replace(AS_WRITTEN, memory=0, angle_features=False, standardise=False)
 #: What was tried to find `OURS`, on development seeds.
 TRIED = replace(OURS, trials=25)
 SEARCH: dict[str, DeepPilcoConfig] = {
     "search/start": TRIED,
     "search/rate-decay": replace(TRIED, policy_final_rate=0.1),
 }
-CONFIGS: dict[str, DeepPilcoConfig] = {"deep-pilco-ours": OURS, "deep-pilco-as-written": AS_WRITTEN, **SEARCH}
+CONFIGS: dict[str, DeepPilcoConfig] = {
+    "deep-pilco-ours": OURS,
+    "deep-pilco-as-written": AS_WRITTEN,
+    "deep-pilco-as-text": AS_TEXT,
+    **SEARCH,
+}
 
 
 class DeepPilcoLearning:
@@ -127,22 +166,26 @@ class DeepPilcoLearning:
     #: 2: the gradients of controller and network are worked out by hand.
     ROUNDING = 2
     COUNTS = (
-        "model_repairs",  # gradients that were not finite and left out, networks that had to begin anew
-        "policy_repairs",  # gradients that were not finite and left out
+        "model_repairs",  # steps left out since the likelihood was not finite, networks that had to begin anew
+        "policy_repairs",  # steps left out since predicted cost or gradient was not finite
         "policy_redrawn",  # times the guard tried another controller
     )
 
     def __init__(self, config: DeepPilcoConfig, seeds: Sequence[int], device: str, dtype: torch.dtype) -> None:
-        if not seeds:
+        if len(seeds) == 0:
             raise ValueError("at least one seed is needed, got none")
         self.config, self.seeds = config, tuple(seeds)
         self.total, self.done = config.trials + 1, 0
         self.shape = planning.RBFShape(config.basis)
-        self.model = DropoutDynamics(
-            self.seeds, hidden=config.hidden, drop=config.drop, input_drop=config.input_drop,
-            activation=config.activation, angle_features=config.angle_features, standardise=config.standardise,
-            dtype=dtype, device=device,
-        )  # fmt: skip
+        common: dict[str, Any] = {
+            "hidden": config.hidden, "activation": config.activation, "angle_features": config.angle_features,
+            "standardise": config.standardise, "dtype": dtype, "device": device,
+        }  # fmt: skip
+        self.model: DropoutDynamics | Ensemble = (
+            Ensemble(self.seeds, config.ensemble, **common)
+            if config.ensemble > 1
+            else DropoutDynamics(self.seeds, drop=config.drop, input_drop=config.input_drop, **common)
+        )
         self.policy = self._draw_policy(0)
         self.shown = tuple(trial for trial in SHOWN if trial <= config.trials)
         times, steps, trials, shown = config.plant.steps + 1, config.plant.steps, self.total, len(self.shown)
@@ -202,16 +245,20 @@ class DeepPilcoLearning:
         attempts = config.redraws if config.guard < 1 else 0
         fresh = [self._draw_policy(trial, attempt) for attempt in range(1, attempts + 1)]
         best, redraws = planning.guarded(
-            self.model, config.plant, self.shape, config, self.policy, fresh, config.guard, trial
+            self._planned(), config.plant, self.shape, config, self.policy, fresh, config.guard, trial
         )
         self.policy = best.parameters
         self.counts["policy_repairs"][:, trial] = best.repairs
         self.counts["policy_redrawn"][:, trial] = redraws
 
+    def _planned(self) -> Dynamics:
+        """Return the model that the controller is improved on."""
+        return self.model if self.config.doubt else self.model.mean()
+
     def _predict(self) -> None:
         """Record what the model expects of the controller that is about to be tried."""
         config, trial = self.config, self.done
-        draws = next(planning.draw(self.model, config.plant, config, PREDICTED, "record", trial))
+        draws = next(planning.draw(self._planned(), config.plant, config, PREDICTED, "record", trial))
         with torch.no_grad():
             controller = self.shape.controller(self.policy)
             prediction = particles.predict(controller, config.plant, draws, config.matching)

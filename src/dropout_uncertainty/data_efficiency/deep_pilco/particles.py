@@ -5,12 +5,12 @@ Everything that does not change during a trial is multiplied out before it. Grad
 """
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DrawnFunction
 from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import nan_cholesky
 from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
@@ -23,12 +23,24 @@ COST_OF = ("particles", "mean")
 JITTER, RELATIVE_JITTER = 1e-6, 1e-5
 
 
+@runtime_checkable
+class Function(Protocol):
+    """How each particle moves: the change of state for a state, or its features, and a force."""
+
+    @property
+    def angle_features(self) -> bool:
+        """Whether it is given features of the state."""
+
+    def __call__(self, inputs: Tensor) -> Tensor:
+        """Return the change of state [R, K, 4] for inputs [R, K, D]."""
+
+
 @dataclass(frozen=True)
 class Draws:
     """The random numbers of one predicted trial: what makes its cost a function of the controller alone."""
 
     start: Float[Tensor, "R K 4"]  # particles at time 0
-    functions: tuple[DrawnFunction, ...]  # one, held for the whole trial, or one per step
+    functions: tuple[Function, ...]  # one, held for the whole trial, or one per step
     noise: Float[Tensor, "R T K 4"]  # standard normal, for the particles that are drawn anew
 
 
@@ -90,7 +102,12 @@ def match(
     Gradients flow through the mean and the factor of the covariance to the new particles. ``matching`` "diagonal" fits
     each dimension by itself, "off" leaves the particles as they are. The covariance is that of the particles, divided
     by K; a replica whose covariance has no factor becomes NaN.
+
+    Raises:
+        ValueError: for another way of matching.
     """
+    if matching not in MATCHING:
+        raise ValueError(f"expected matching to be one of {', '.join(MATCHING)}, got {matching!r}")
     mean = particles.mean(1, keepdim=True)
     centred = particles - mean
     if matching == "full":

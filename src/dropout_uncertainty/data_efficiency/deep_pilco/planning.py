@@ -8,15 +8,23 @@ trial's expected cost is their mean cost (`objective`), which Adam or BFGS lower
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
 from torch import Generator, Tensor
 
 from dropout_uncertainty import rng
+from dropout_uncertainty.bayes import Masks
 from dropout_uncertainty.data_efficiency.deep_pilco import trial_gradient
-from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DrawnFunction, DropoutDynamics
-from dropout_uncertainty.data_efficiency.deep_pilco.particles import COST_OF, MATCHING, Draws, multiplied_out, predict
+from dropout_uncertainty.data_efficiency.deep_pilco.particles import (
+    COST_OF,
+    MATCHING,
+    Draws,
+    Function,
+    multiplied_out,
+    predict,
+)  # fmt: skip
 from dropout_uncertainty.data_efficiency.minimise import batched
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole
 from dropout_uncertainty.data_efficiency.policies import RBFController
@@ -70,6 +78,34 @@ class Planning:
             raise ValueError("BFGS needs the same particles at every step: set redraw_every to 0")
 
 
+@runtime_checkable
+class Dynamics(Protocol):
+    """What particles can be moved by: a model of which functions are drawn, one per particle."""
+
+    seeds: tuple[int, ...]  # one per replica
+
+    @property
+    def log_noise(self) -> Tensor:
+        """A tensor of the dtype and on the device in which particles are moved."""
+
+    def draw(self, count: int, *path: str | int) -> Masks:
+        """Return what distinguishes ``count`` functions per replica, a tensor [R, count, ...] or None each."""
+
+    def function(self, masks: Masks) -> Function:
+        """Return these functions."""
+
+    def select(self, replicas: Sequence[int]) -> "Dynamics":
+        """Return a copy with some of the replicas."""
+
+
+@runtime_checkable
+class Shape(Protocol):
+    """How the parameters of a controller stand in one vector."""
+
+    def controller(self, parameters: Tensor) -> RBFController:
+        """Return the controllers of parameters [R, P]."""
+
+
 @dataclass(frozen=True)
 class RBFShape:
     """How the parameters of N basis functions over D features stand in one vector: length-scales, centres, weights."""
@@ -102,7 +138,7 @@ class RBFShape:
 
 
 def draw(
-    model: DropoutDynamics, plant: CartPole, plan: Planning, count: int, *path: str | int, blocks: int = 1
+    model: Dynamics, plant: CartPole, plan: Planning, count: int, *path: str | int, blocks: int = 1
 ) -> Iterator[Draws]:
     """Yield the random numbers of ``blocks`` predicted trials of ``count`` particles, from the streams of a path."""
     like, steps = model.log_noise, plant.steps
@@ -117,7 +153,7 @@ def draw(
     per_trial = 1 if plan.hold_masks else steps
     masks = model.draw(blocks * per_trial * count, *path)
 
-    def function(place: int) -> DrawnFunction:
+    def function(place: int) -> Function:
         part = slice(place * count, (place + 1) * count)
         return model.function(tuple(m if m is None else m[:, part] for m in masks))
 
@@ -126,7 +162,7 @@ def draw(
         yield Draws(start[:, block], functions, noise[:, block])
 
 
-def _stream(model: DropoutDynamics, plant: CartPole, plan: Planning, *path: str | int) -> Iterator[Draws]:
+def _stream(model: Dynamics, plant: CartPole, plan: Planning, *path: str | int) -> Iterator[Draws]:
     """Yield the random numbers of each optimisation step, fresh after ``redraw_every`` of them."""
     for block in itertools.count():
         for draws in draw(model, plant, plan, plan.particles, *path, block, blocks=BLOCK if plan.redraw_every else 1):
@@ -140,7 +176,7 @@ def standardised(noise: Float[Tensor, "*batch K D"]) -> Float[Tensor, "*batch K 
 
 
 def objective(
-    plant: CartPole, shape: RBFShape, plan: Planning, parameters: Float[Tensor, "R P"], draws: Draws
+    plant: CartPole, shape: Shape, plan: Planning, parameters: Float[Tensor, "R P"], draws: Draws
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, "R P"]]:
     """Return the predicted cost, averaged over times 1 ... T, and its gradient in the controller's parameters."""
     leaf = parameters.detach().requires_grad_()
@@ -166,9 +202,9 @@ class Improved:
 
 
 def improve(
-    model: DropoutDynamics,
+    model: Dynamics,
     plant: CartPole,
-    shape: RBFShape,
+    shape: Shape,
     plan: Planning,
     parameters: Float[Tensor, "R P"],
     *path: str | int,
@@ -199,10 +235,10 @@ def improve(
 
 
 def _improve_fixed(
-    model: DropoutDynamics, plant: CartPole, shape: RBFShape, plan: Planning, parameters: Tensor, *path: str | int
+    model: Dynamics, plant: CartPole, shape: Shape, plan: Planning, parameters: Tensor, *path: str | int
 ) -> Improved:
     """Lower the predicted cost of one fixed set of particles and masks by BFGS (McHutchon's setting)."""
-    parts: dict[tuple[int, ...], tuple[DropoutDynamics, Draws]] = {}
+    parts: dict[tuple[int, ...], tuple[Dynamics, Draws]] = {}
 
     def evaluate(x: Tensor, numbers: list[int]) -> tuple[Tensor, Tensor]:
         key = tuple(numbers)
@@ -220,9 +256,9 @@ def _improve_fixed(
 
 
 def guarded(
-    model: DropoutDynamics,
+    model: Dynamics,
     plant: CartPole,
-    shape: RBFShape,
+    shape: Shape,
     plan: Planning,
     parameters: Float[Tensor, "R P"],
     fresh: Sequence[Float[Tensor, "R P"]],

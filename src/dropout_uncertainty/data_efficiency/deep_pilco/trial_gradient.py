@@ -7,6 +7,7 @@ particles K last, where they are contiguous.
 """
 
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from jaxtyping import Bool, Float
@@ -45,7 +46,7 @@ def value_and_gradient(
         plant: constants, number of steps and limit of the force.
         draws: the random numbers of the trial.
     """
-    networks = [_Network(function) for function in draws.functions]
+    networks = [_Network(cast(DrawnFunction, function)) for function in draws.functions]  # as `covers` wants them
     trial = _Trial.run(matrix, weights, plant, draws, networks)
     value, slope = _costs(plant, trial.states[1:])
     in_force = _forward_slopes(trial, matrix, weights, plant.force_limit)

@@ -3,7 +3,7 @@
 Formulas: Deisenroth, Efficient Reinforcement Learning using Gaussian Processes (2010), section 2.3 and appendix A.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -33,6 +33,7 @@ class SquaredExponential:
     log_signal_std: Tensor  # [R, E]
     weights: Tensor  # [R, E, N]
     precision: Tensor | None = None  # [R, E, N, N]
+    fixed: bool = False  # the functions' own parameters need no gradients, which makes their moments cheaper
 
     def __post_init__(self) -> None:
         replicas, count, dim = self.centres.shape
@@ -101,7 +102,12 @@ class SquaredExponential:
             self.log_signal_std[replicas],
             self.weights[replicas],
             None if self.precision is None else self.precision[replicas],
+            self.fixed,
         )
+
+    def mean_function(self) -> "SquaredExponential":
+        """Return the posterior's mean alone: fixed functions without uncertainty of their own."""
+        return replace(self, precision=None, fixed=True)
 
     def kernel(self, x: Float[Tensor, "R K D"]) -> Float[Tensor, "R E K N"]:
         """Return the covariance function between points and centres."""
@@ -110,9 +116,9 @@ class SquaredExponential:
     def moments(self, x: Gaussian) -> Moments:
         """Return the moments for a Gaussian input, with function uncertainty if there is a ``precision``.
 
-        Gradients with respect to the functions' own parameters exist only without ``precision``.
+        Gradients with respect to the functions' own parameters exist only without ``precision``, unless ``fixed``.
         """
-        if self.precision is None:
+        if self.precision is None and not self.fixed:
             mean, slope, square = _mixture_moments(self, *x)
         else:
             mean, slope, square = PosteriorMoments.apply(*x, self)
@@ -169,7 +175,8 @@ class PosteriorMoments(torch.autograd.Function):
         value, d_mean, d_cov = _pair_sums(f, z, cov, total[:, outputs:], shrink[:, outputs:], log_det[:, outputs:])
         ctx.save_for_backward(d_mean, d_cov, slope, bend, pull, height, metric)
         square = value[:, _pair_numbers(outputs, mean.device)]
-        square.diagonal(dim1=-2, dim2=-1).add_(torch.exp(2 * f.log_signal_std))
+        if f.precision is not None:
+            square.diagonal(dim1=-2, dim2=-1).add_(torch.exp(2 * f.log_signal_std))
         return height.sum(-1), slope.mT, square
 
     @staticmethod

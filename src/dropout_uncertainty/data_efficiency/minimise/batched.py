@@ -50,7 +50,12 @@ def minimise(objective: Objective, start: Float[Tensor, "B P"], iterations: int,
         start: where to begin.
         iterations: the limit on line searches.
         max_restarts: how often L-BFGS-B may begin anew after a failed line search.
+
+    Raises:
+        ValueError: if ``start`` has another number of axes.
     """
+    if start.ndim != 2:
+        raise ValueError(f"expected one start per problem, [B, P], got shape {tuple(start.shape)}")
     requests: queue.SimpleQueue = queue.SimpleQueue()
     points = start.detach().cpu().double().numpy()
     problems = [_Problem(i, x, iterations, max_restarts, requests) for i, x in enumerate(points)]

@@ -26,6 +26,7 @@ MAX_SIGNAL_TO_NOISE = 1000.0
 MAX_LENGTH_SCALE = 100.0  # in standard deviations of the input
 PENALTY_POWER = 30
 RIDGE = 1e-6  # added to the covariance of the inducing points, as in the original
+LEAST_SPREAD = 1e-6  # standard deviation up to which a column of inputs or targets counts as constant
 # Multiples of the mean variance tried in turn on the diagonal of a covariance that cannot be factorised.
 JITTERS = (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4)
 
@@ -47,6 +48,11 @@ class GaussianProcess:
             raise ValueError(
                 "expected inputs [R, N, D], targets [R, E, N] and log hyper-parameters [R, E, D + 2], got shapes "
                 f"{tuple(self.inputs.shape)}, {tuple(self.targets.shape)} and {tuple(self.log_hyper.shape)}"
+            )
+        if {self.inputs.dtype, self.targets.dtype, self.log_hyper.dtype} != {torch.float64}:
+            dtypes = self.inputs.dtype, self.targets.dtype, self.log_hyper.dtype
+            raise ValueError(
+                f"expected inputs, targets and log hyper-parameters in float64, got {dtypes}: use .double()"
             )
 
     @property
@@ -83,10 +89,30 @@ class GaussianProcess:
 
 
 def initial_hyper(inputs: Float[Tensor, "R N D"], targets: Float[Tensor, "R E N"]) -> Float[Tensor, "R E H"]:
-    """Return the start of a fit: length-scales and signal as spread as the data, noise a tenth of the signal."""
-    scales = inputs.std(1).log()[:, None].expand(-1, targets.shape[1], -1)
-    signal = targets.std(-1).log()
+    """Return the start of a fit: length-scales and signal as spread as the data, noise a tenth of the signal.
+
+    Where a column does not vary, or there is one row only, the spread counts as 1, as for the network of Deep PILCO.
+
+    Raises:
+        ValueError: if the data hold NaN or infinity, or are not of one number of transitions.
+    """
+    if targets.shape[::2] != inputs.shape[:2]:
+        shapes = tuple(inputs.shape), tuple(targets.shape)
+        raise ValueError(f"expected inputs [R, N, D] and targets [R, E, N], got shapes {shapes}")
+    for name, columns in (("input", inputs.mT), ("target", targets)):
+        bad = (~columns.isfinite()).any(-1).any(0).nonzero().flatten().tolist()
+        if bad:
+            raise ValueError(f"expected finite transitions, got NaN or infinity in the {name} columns {bad}")
+    scales = _spread(inputs, 1)[0].log()[:, None].expand(-1, targets.shape[1], -1)
+    signal = _spread(targets, -1)[0].log()
     return torch.cat((scales, signal[..., None], signal[..., None] - math.log(10)), -1)
+
+
+def _spread(data: Tensor, dim: int) -> tuple[Tensor, Tensor]:
+    """Return the standard deviation along an axis, 1 where the data do not vary, and where that is."""
+    std = data.std(dim, correction=min(1, data.shape[dim] - 1))
+    constant = std <= LEAST_SPREAD
+    return std.masked_fill(constant, 1.0), constant
 
 
 def negative_log_likelihood(
@@ -137,16 +163,20 @@ def fit_hyper(
     start: Float[Tensor, "R E H"],
     iterations: int,
 ) -> tuple[Float[Tensor, "R E H"], Minimum]:
-    """Return the hyper-parameters of smallest penalised negative log likelihood found from ``start``."""
+    """Return the hyper-parameters of smallest penalised negative log likelihood found from ``start``.
+
+    An output that does not vary has nothing to tell of them and keeps its start.
+    """
     outputs = targets.shape[1]
-    input_std = inputs.std(1)
+    (input_std, _), (_, constant) = _spread(inputs, 1), _spread(targets, -1)
 
     def objective(x: Tensor, numbers: list[int]) -> tuple[Tensor, Tensor]:
         x, index = x.to(inputs), torch.tensor(numbers, device=inputs.device)
         replica, output = index // outputs, index % outputs
         value, gradient = negative_log_likelihood(x, inputs[replica], targets[replica, output])
         extra, slope = penalty(x, input_std[replica])
-        return value + extra, gradient + slope
+        still = constant[replica, output]
+        return (value + extra).masked_fill(still, 0.0), (gradient + slope).masked_fill(still[:, None], 0.0)
 
     found = minimise(objective, start.flatten(0, 1), iterations)
     return found.x.reshape(start.shape), found
@@ -178,7 +208,7 @@ def initial_inducing(inputs: Float[Tensor, "R N D"], count: int, seeds: list[int
     """Return k-means centres of each replica's inputs, scaled to unit spread, as first inducing inputs."""
     centres = []
     for x, seed in zip(inputs.cpu().numpy(), seeds, strict=True):
-        scale = x.std(0) + np.finfo(x.dtype).tiny
+        scale = np.where(x.std(0) > LEAST_SPREAD, x.std(0), 1.0)
         found, _ = kmeans2(x / scale, count, minit="++", rng=np.random.default_rng(seed))
         centres.append(found * scale)
     return torch.from_numpy(np.stack(centres)).to(inputs)

@@ -21,9 +21,9 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 from dropout_uncertainty.runs import records, sweep
-from dropout_uncertainty.runs.execute import Unit
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.runs.unit import Unit
 
 __all__ = [
     "CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer",
@@ -53,10 +53,17 @@ class PilcoConfig:
     """Standard deviation of the first targets of the controller's basis functions."""
     log_length_scales: tuple[float, ...] = (0.0, 0.0, 0.0, -0.35667494393873245, -0.35667494393873245)
     """Logs of the controller's first length-scales: 1, 1, 1, 0.7, 0.7."""
+    doubt: bool = field(default=True, metadata={"before": True})
+    """The controller is improved on the model with its variance. Otherwise on its mean, taken for the truth; only the
+    start state is uncertain then."""
 
     def __post_init__(self) -> None:
         if self.trials < 1 or self.basis < 1 or self.policy_iterations < 1 or self.model_iterations < 1:
             raise ValueError(f"trials, basis functions and line searches must be positive, got {asdict(self)}")
+        if self.inducing < 0 or self.inducing_iterations < 1 or self.target_std <= 0:
+            raise ValueError(f"expected no negative numbers and positive steps and targets, got {asdict(self)}")
+        if len(self.log_length_scales) != planning.DIM:
+            raise ValueError(f"expected {planning.DIM} length-scales, one per feature, got {self.log_length_scales}")
 
 
 #: The plant of the original code.
@@ -88,7 +95,7 @@ class PilcoLearning:
     )
 
     def __init__(self, config: PilcoConfig, seeds: Sequence[int], device: str = "cpu") -> None:
-        if not seeds:
+        if len(seeds) == 0:
             raise ValueError("at least one seed is needed, got none")
         self.config, self.seeds, self.device = config, tuple(seeds), device
         self.total, self.done = config.trials + 1, 0
@@ -130,8 +137,9 @@ class PilcoLearning:
             with self._timed("gradients"):
                 self._record_gradients(model)
             with self._timed("policy"):
-                self._improve(model)
-                self._predict(model)
+                planned = model if self.config.doubt else model.mean_function()
+                self._improve(planned)
+                self._predict(planned)
         with self._timed("trial"):
             self._run_trial()
         costs = self.log["costs"][:, self.done]

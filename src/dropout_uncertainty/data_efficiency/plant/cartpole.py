@@ -7,6 +7,7 @@ pivot, the cart has viscous friction with the ground. Everything is batched over
 first, then particles K) and differentiable.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -43,6 +44,21 @@ class CartPole:
     cost_width: float = 0.25  # width of the saturating cost [m]
     start_mean: tuple[float, float, float, float] = (0.0, 0.0, 0.0, torch.pi)  # at rest, hanging
 
+    def __post_init__(self) -> None:
+        positive = {name: getattr(self, name) for name in ("pole_length", "pole_mass", "cart_mass", "dt", "cost_width")}
+        spreads = ("start_std", "observation_noise", "friction", "gravity", "force_limit")
+        others = {name: getattr(self, name) for name in spreads}
+        if not all(0 < value < math.inf for value in positive.values()):
+            raise ValueError(f"expected positive lengths, masses and times, got {positive}")
+        if not all(0 <= value < math.inf for value in others.values()):
+            raise ValueError(f"expected no negative and no infinite numbers, got {others}")
+        if self.steps < 1 or self.solved_steps < 1:
+            raise ValueError(f"expected a step or more, got {self.steps} and {self.solved_steps} to be judged on")
+        if len(self.start_mean) != 4 or not all(map(math.isfinite, self.start_mean)):
+            raise ValueError(f"expected a mean start state (x, v, w, theta), got {self.start_mean}")
+        if abs(self.start_mean[3]) > 2 * math.pi:
+            raise ValueError(f"expected the start angle in radians, got {self.start_mean[3]}: is it in degrees?")
+
 
 # As two re-implementations written from the Deep PILCO paper have it, and as thesis figure 5.8 fits (10 steps
 # are 1 s).
@@ -61,6 +77,16 @@ def preset(name: str) -> CartPole:
     if name not in PRESETS:
         raise ValueError(f"expected a plant preset out of {sorted(PRESETS)}, got {name!r}")
     return PRESETS[name]
+
+
+def _check_states(state: object) -> None:
+    """Raise ValueError for what is no tensor of states."""
+    if not isinstance(state, Tensor):
+        raise ValueError(f"expected a tensor of states, got {type(state).__name__}: use torch.as_tensor")
+    if not state.is_floating_point():
+        raise ValueError(f"expected states in floating point, got {state.dtype}")
+    if state.shape[-1:] != (4,):
+        raise ValueError(f"expected states (x, v, w, theta) along the last axis, got shape {tuple(state.shape)}")
 
 
 def derivative(
@@ -88,10 +114,14 @@ def step(plant: CartPole, state: Tensor, force: Tensor, substeps: int = SUBSTEPS
         substeps: how many integration steps the interval is cut into.
 
     Raises:
-        ValueError: if the last axis of the state is not (x, v, w, theta).
+        ValueError: if the last axis of the state is not (x, v, w, theta), or there is not one force per state.
     """
-    if state.shape[-1:] != (4,):
-        raise ValueError(f"expected states (x, v, w, theta) along the last axis, got shape {tuple(state.shape)}")
+    _check_states(state)
+    if not isinstance(force, Tensor):
+        force = torch.as_tensor(force, dtype=state.dtype, device=state.device)
+    if force.ndim and force.shape != state.shape[:-1]:
+        shapes = tuple(force.shape), tuple(state.shape)
+        raise ValueError(f"expected one force per state, [...] and [..., 4], got shapes {shapes}")
     h = plant.dt / substeps
     for _ in range(substeps):
         k1 = derivative(plant, state, force)
@@ -104,6 +134,7 @@ def step(plant: CartPole, state: Tensor, force: Tensor, substeps: int = SUBSTEPS
 
 def energy(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
     """Return the mechanical energy [J]; zero for the pole at rest and level with the pivot."""
+    _check_states(state)
     _, v, w, theta = state.unbind(-1)
     m, length = plant.pole_mass, plant.pole_length
     kinetic = (plant.cart_mass + m) * v**2 / 2 - m * length * v * w * theta.cos() / 2 + m * length**2 * w**2 / 6
@@ -111,13 +142,23 @@ def energy(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "
 
 
 def tip(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 2"]:
-    """Return the horizontal and vertical position [m] of the pole's end, the track at height 0."""
+    """Return the horizontal and vertical position [m] of the pole's end, the track at height 0.
+
+    Raises:
+        ValueError: if the last axis of the state is not (x, v, w, theta).
+    """
+    _check_states(state)
     x, theta = state[..., 0], state[..., 3]
     return torch.stack((x - plant.pole_length * theta.sin(), plant.pole_length * theta.cos()), -1)
 
 
 def features(state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 5"]:
-    """Return (x, v, w, sin theta, cos theta): what controllers and models are given for the angle."""
+    """Return (x, v, w, sin theta, cos theta): what controllers and models are given for the angle.
+
+    Raises:
+        ValueError: if the last axis of the state is not (x, v, w, theta).
+    """
+    _check_states(state)
     return torch.cat((state[..., :3], state[..., 3:].sin(), state[..., 3:].cos()), -1)
 
 

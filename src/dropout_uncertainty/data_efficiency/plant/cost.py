@@ -72,4 +72,6 @@ def solved(plant: CartPole, costs: Float[Tensor, "*batch steps"]) -> Bool[Tensor
     """
     if costs.shape[-1] != plant.steps:
         raise ValueError(f"expected {plant.steps} costs, one per step of the trial, got {costs.shape[-1]}")
+    if plant.solved_steps > plant.steps:
+        raise ValueError(f"a trial of {plant.steps} steps cannot be judged on its last {plant.solved_steps}")
     return costs[..., -plant.solved_steps :].mean(-1) < SOLVED_BELOW

@@ -43,18 +43,19 @@ class CartPoleSwingUp(gymnasium.Env):
         self._steps = 0
         return self._observe(state), {"state": state.numpy().copy()}
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Apply a force for one control interval.
 
         Raises:
-            UserError: before the first ``reset``, or if the action is not one finite number.
+            UserError: before the first ``reset``, or if the action is not one number in [-1, 1].
         """
         if self._state is None:
             raise UserError("the environment has no state yet: call reset first")
-        share = np.asarray(action, dtype=np.float64)
-        if share.shape != (1,) or not np.isfinite(share).all():
-            raise UserError(f"expected an action of one finite number in [-1, 1], got {action!r}")
-        force = self.plant.force_limit * torch.from_numpy(share)[0].clamp(-1, 1)
+        share = np.asarray(action, dtype=np.float64).reshape(-1)
+        if share.size != 1 or not abs(share[0]) <= 1:  # NaN is not
+            limit = self.plant.force_limit
+            raise UserError(f"expected an action of one number in [-1, 1], the share of {limit:g} N, got {action!r}")
+        force = self.plant.force_limit * torch.from_numpy(share)[0]
         self._state = state = cartpole.step(self.plant, self._state, force)
         self._steps += 1
         reward = 1 - cost(self.plant, state).item()

@@ -35,8 +35,8 @@ class ForagingWorld(gymnasium.Env):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's interface
 
     def __init__(self, ticks: int = 1000, rules: Rules | None = None) -> None:
-        if ticks < 1:
-            raise UserError(f"an episode has at least one tick, got {ticks}")
+        if not isinstance(ticks, int | np.integer) or ticks < 1:
+            raise UserError(f"an episode has a whole number of ticks, at least one, got {ticks!r}")
         self.ticks, self.rules = ticks, rules or Rules()
         self.observation_space = spaces.Box(0.0, FARTHEST, (w.INPUTS,), np.float64)
         self.action_space = spaces.Discrete(len(w.ACTIONS))
@@ -56,9 +56,9 @@ class ForagingWorld(gymnasium.Env):
         """
         if self.world is None:
             raise UserError("the environment has no state yet: call reset first")
-        if not self.action_space.contains(action):
+        if getattr(action, "shape", ()) or not hasattr(action, "__index__") or int(action) not in range(len(w.ACTIONS)):
             raise UserError(f"expected an action from 0 to {len(w.ACTIONS) - 1}, got {action!r}")
-        actions, readings = np.array([[action]]), self._readings
+        actions, readings = np.array([[int(action)]]), self._readings
         outcome = self.world.step(actions, self.np_random.random((1, w.ITEMS)), self.np_random.random((1, 4)))
         reward = self.world.reward(readings, actions, outcome)
         food, poison, blocked = outcome.food[0, 0], outcome.poison[0, 0], outcome.blocked[0, 0]

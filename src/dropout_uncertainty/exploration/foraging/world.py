@@ -89,14 +89,15 @@ class World:
     Items live in 30 slots. The original keeps a list; order in it decides nothing but the order of its random numbers.
 
     Raises:
-        ValueError: if ``agents`` < 1 or the layout has another shape.
+        ValueError: if ``agents`` < 1, or the layout has another shape or numbers outside [0, 1).
     """
 
     def __init__(self, layout: Float[np.ndarray, "R M 3"], agents: int = 1, rules: Rules | None = None) -> None:
-        if agents < 1:
-            raise ValueError(f"a world needs at least one agent, got {agents}")
-        if layout.shape[1:] != (ITEMS, 3):
-            raise ValueError(f"expected uniform numbers [R, {ITEMS}, 3] for the first items, got shape {layout.shape}")
+        if not isinstance(agents, int | np.integer) or agents < 1:
+            raise ValueError(f"a world needs a whole number of agents, at least one, got {agents!r}")
+        layout = _uniform_numbers("the first items", layout, (-1, ITEMS, 3))
+        if np.isnan(layout).any():
+            raise ValueError("expected numbers in [0, 1) for the first items, got NaN")
         self.rules = rules or Rules()
         self.replicas, self.agents = len(layout), agents
         self.clock = 0
@@ -172,9 +173,16 @@ class World:
         ``spawning`` those of a new item (whether, x, y, kind), needed at multiples of 10.
 
         Raises:
-            ValueError: if numbers that are due are missing.
+            ValueError: if actions are not whole numbers [R, A] from 0 to 4, or numbers that are due are missing or of
+                another shape; the world is then as it was.
         """
-        self.clock += 1
+        actions = self._checked(actions)
+        clock = self.clock + 1
+        if clock % AGEING_PERIOD == 0:
+            ageing = _uniform_numbers(f"old items, due at clock {clock}", ageing, (self.replicas, ITEMS))
+        if clock % SPAWN_PERIOD == 0:
+            spawning = _uniform_numbers(f"a new item, due at clock {clock}", spawning, (self.replicas, 4))
+        self.clock = clock
         blocked = self._move(actions)
         eater = self._eat()
         food, poison = self._count(eater)
@@ -193,8 +201,17 @@ class World:
         view = np.where(readings.kind == WALL, readings.distance / EYE_RANGE, 1.0).sum(-1) / EYES
         if self.rules.doubled_proximity:
             view = np.minimum(1.0, 2.0 * view)
-        straight = 0.1 * view * ((actions == 0) & (view > 0.75))
+        straight = 0.1 * view * ((np.asarray(actions) == 0) & (view > 0.75))
         return view + straight + DIGESTION[FOOD] * outcome.food + DIGESTION[POISON] * outcome.poison
+
+    def _checked(self, actions: Int[np.ndarray, "R A"]) -> Int[np.ndarray, "R A"]:
+        actions = np.asarray(actions)
+        if actions.shape != self.x.shape or actions.dtype.kind not in "iu":
+            wanted = f"whole numbers of shape {self.x.shape}"
+            raise ValueError(f"expected actions as {wanted}, got {actions.dtype} of shape {actions.shape}")
+        if actions.min() < 0 or actions.max() >= len(ACTIONS):
+            raise ValueError(f"expected actions from 0 to {len(ACTIONS) - 1}, got {actions.min()} to {actions.max()}")
+        return actions
 
     def _move(self, actions: NDArray) -> Bool[np.ndarray, "R A"]:
         """Turn and move the agents; a move through a wall leaves the agent where it was, but turned."""
@@ -234,8 +251,7 @@ class World:
     def _wither(self, ageing: NDArray | None) -> Bool[np.ndarray, "R M"]:
         if self.clock % AGEING_PERIOD:
             return np.zeros((self.replicas, ITEMS), dtype=bool)
-        if ageing is None:
-            raise ValueError(f"at clock {self.clock} old items may wither: uniform numbers [R, {ITEMS}] are needed")
+        assert ageing is not None
         old = (self.item_kind != NOTHING) & (self.clock - self.item_born > OLD_AGE)
         return old & (ageing < AGEING_CHANCE)
 
@@ -244,8 +260,7 @@ class World:
         slots = np.full(self.replicas, -1)
         if self.clock % SPAWN_PERIOD:
             return slots
-        if spawning is None:
-            raise ValueError(f"at clock {self.clock} an item may appear: uniform numbers [R, 4] are needed")
+        assert spawning is not None
         empty = self.item_kind == NOTHING
         spawn = (empty.any(-1) & (spawning[:, 0] < SPAWN_CHANCE)).nonzero()[0]
         if len(spawn):
@@ -268,6 +283,18 @@ class World:
         self.clock = int(state["clock"])
 
     _ARRAYS = ("x", "y", "angle", "item_x", "item_y", "item_kind", "item_born")
+
+
+def _uniform_numbers(what: str, values: NDArray | None, shape: tuple[int, ...]) -> NDArray:
+    """Return uniform numbers as an array, after checking their shape (-1: any) and range; NaN where none is needed."""
+    numbers = np.asarray([] if values is None else values, dtype=np.float64)
+    if numbers.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, numbers.shape, strict=True)):
+        wanted = str(list(shape)).replace("-1", "R")
+        came = "none" if values is None else f"shape {list(numbers.shape)}"
+        raise ValueError(f"expected uniform numbers {wanted} for {what}, got {came}")
+    if ((numbers < 0) | (numbers >= 1)).any():
+        raise ValueError(f"expected numbers in [0, 1) for {what}, got {np.nanmin(numbers)} to {np.nanmax(numbers)}")
+    return numbers
 
 
 def _place(uniform: NDArray) -> tuple[NDArray, NDArray, NDArray]:

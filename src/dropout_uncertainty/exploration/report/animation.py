@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.exploration.agent import ACTION_SCALE, CHUNK, ONE_HOT, STATE_SIZE
-from dropout_uncertainty.exploration.experiment import CONFIGS, EXPERIMENT, make_policy
+from dropout_uncertainty.exploration.config import make_policy
+from dropout_uncertainty.exploration.experiment import CONFIGS, EXPERIMENT
 from dropout_uncertainty.exploration.foraging import world as w
 from dropout_uncertainty.exploration.foraging.drawing import KIND_COLOURS, Scene, rollout
 from dropout_uncertainty.exploration.policies import Chance
@@ -32,7 +33,7 @@ GAP, HEAD = 30, 50
 class TrainedAgent:
     """One agent of a record, which acts as it did at the end of its training, but learns no more.
 
-    Thompson sampling draws the weights anew at each tick, from a stream of its own; ε stays at its last value.
+    Draws of the weights come from a stream of their own; ε stays at its last value.
 
     Args:
         record: of an experiment of this section.
@@ -53,8 +54,10 @@ class TrainedAgent:
         if not (0 <= replica < weights.shape[0] and 0 <= agent < weights.shape[1]):
             held = f"{weights.shape[0]} seeds and {weights.shape[1]} agents"
             raise ValueError(f"the record has the weights of {held}, not of seed number {replica}, agent {agent}")
-        self.name, self.drop, self.seed = config.agents[agent].policy, config.agents[agent].drop, seed
+        mine = config.agents[agent]
+        self.name, self.drop, self.hold, self.seed = mine.policy, mine.drop_when_acting, mine.hold, seed
         self.policy, self.ticks, self.rules = make_policy(self.name, config), config.ticks, config.rules
+        self.acts_on_draws = self.policy.draws_weights and mine.draws_until is None
         self.network = QNetwork((STATE_SIZE, *config.hidden, C), [seed])
         self.network.parameters.copy_(torch.from_numpy(weights[replica, agent]))
         self.before, self.taken = np.ones((1, w.INPUTS)), np.zeros((1, C))
@@ -68,19 +71,22 @@ class TrainedAgent:
         step = (tick - 1) % CHUNK
         if step == 0:
             chunk = (tick - 1) // CHUNK
-            self.masks = MaskStream([self.seed], self.network.sizes[:-1], self.drop, CHUNK, 1, "animation", chunk)
+            draws, number = max(1, CHUNK // self.hold), chunk // max(1, self.hold // CHUNK)
+            self.masks = MaskStream([self.seed], self.network.sizes[:-1], self.drop, draws, 1, "animation", number)
             uniform = torch.rand(CHUNK, 2 + C, dtype=torch.float64, generator=self._generator(chunk)).numpy()
             self.chance = uniform[:, :1], uniform[:, 1:2], -np.log(-np.log(uniform[:, None, 2:]))
         state = self.state(inputs).astype(np.float32)
         rows = torch.from_numpy(np.stack((state, state), axis=1))
-        drawn, plain = self.network.forward(rows, self.masks.at(step))[-1].numpy().transpose(1, 0, 2).copy()
+        drawn, plain = (
+            self.network.forward(rows, self.masks.at(step // self.hold))[-1].numpy().transpose(1, 0, 2).copy()
+        )
         return drawn, plain
 
     def __call__(self, inputs: Float[np.ndarray, "1 27"], tick: int) -> Int[np.ndarray, " 1"]:
         """Return the action at ``tick`` (1, 2, ... in turn)."""
         drawn, plain = self.values(inputs, tick)
         chance = Chance(*(numbers[(tick - 1) % CHUNK] for numbers in self.chance))
-        action = self.policy(drawn if self.policy.draws_weights else plain, chance, self.ticks)
+        action = self.policy(drawn if self.acts_on_draws else plain, chance, self.ticks)
         self.before, self.taken = inputs, ONE_HOT[action]
         return action
 

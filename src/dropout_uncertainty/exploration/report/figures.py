@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
+from dropout_uncertainty.exploration.report import two_by_two
 from dropout_uncertainty.exploration.report.analysis import BLOCK, BURN_IN, TARGET, Agents, Curves, batches
 from dropout_uncertainty.judging.results import thesis_value
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, band
+from dropout_uncertainty.stats import t_interval
 
-__all__ = ["figure_5_4", "habits", "held_out_errors", "learning_curves"]
+__all__ = ["curves_of_cells", "figure_5_4", "habits", "held_draws", "held_out_errors", "interaction", "learning_curves"]
 
 
 def learning_curves(ax: Axes, agents: Mapping[str, Curves], *, original: Mapping[str, Curves] | None = None) -> Axes:
@@ -96,3 +98,62 @@ def held_out_errors(axes: Sequence[Axes], networks: Mapping[str, Curves]) -> Non
         ax.set(xlabel="ticks", title=title)
     axes[0].set_ylabel("mean squared TD error")
     axes[0].legend()
+
+
+#: Colours of the agents ``two-by-two/...``: blue acts on draws, grey on the mean; orange learns without dropout.
+CELL_COLOURS = {
+    "dropout-draw": COLOURS["thompson"], "dropout-mean": "#882255", "plain-draw": "#E69F00",
+    "plain-mean": COLOURS["greedy"], "masks-off-late": "#D55E00", "epsilon-greedy": COLOURS["epsilon-greedy"],
+    "epsilon-greedy-short": "#44AA99",
+}  # fmt: skip
+
+
+def interaction(ax: Axes, cells: Mapping[str, Curves]) -> Axes:
+    """Draw the mean reward of the four agents: acting on x, one line per way to learn, seeds as dots beside."""
+    for learns, colour, shift in (("dropout", COLOURS["thompson"], -0.04), ("plain", "#E69F00", 0.04)):
+        place, means = [], []
+        for x, acts in enumerate(("mean", "draw")):
+            if f"{learns}-{acts}" in cells:
+                place.append(x + shift)
+                means.append(cells[f"{learns}-{acts}"].mean(*two_by_two.EARLY, "reward"))
+                ax.plot(np.full(len(means[-1]), place[-1] + shift), means[-1], ".", color=colour, alpha=0.35)
+        found = np.array([t_interval(values)[:3] for values in means]).reshape(-1, 3)
+        errors = np.abs(found[:, 1:] - found[:, :1]).T
+        label = "learns with dropout" if learns == "dropout" else "learns without dropout"
+        ax.errorbar(place, found[:, 0], errors, color=colour, marker="o", capsize=4, label=label)
+    ax.set(xlim=(-0.4, 1.4), ylabel="reward per move")
+    ax.set_xticks((0, 1), ("acts on the mean", "acts on a draw"))
+    ax.legend()
+    return ax
+
+
+def held_draws(ax: Axes, cells: Mapping[str, Curves]) -> Axes:
+    """Draw the mean reward against the ticks for which a draw is held; grey: the agent that acts on the mean."""
+    held = {
+        ticks: cells[name].mean(*two_by_two.EARLY, "reward") for ticks, name in two_by_two.HELD.items() if name in cells
+    }
+    if held:
+        band(ax, np.array(list(held)), np.stack(list(held.values()), axis=1), colour=COLOURS["thompson"],
+             label="acts on a draw", marker="o")  # fmt: skip
+    if "dropout-mean" in cells:
+        value, low, high, _ = t_interval(cells["dropout-mean"].mean(*two_by_two.EARLY, "reward"))
+        ax.axhline(value, color=COLOURS["greedy"], label="acts on the mean")
+        ax.axhspan(low, high, color=COLOURS["greedy"], alpha=0.18, linewidth=0)
+    ax.set(xscale="log", xlabel="ticks for which a draw is held", ylabel="reward per move")
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.legend()
+    return ax
+
+
+def curves_of_cells(ax: Axes, cells: Mapping[str, Curves], names: Sequence[str], *, points: int = 40) -> Axes:
+    """Draw the reward of some agents against ticks, averaged over ``points`` ranges of equal length."""
+    for name in names:
+        if name in cells:
+            edges = np.unique(np.linspace(BURN_IN, cells[name].ticks[-1], points + 1) // BLOCK) * BLOCK
+            ranges = list(itertools.pairwise(edges.astype(int).tolist()))
+            rewards = np.stack([cells[name].mean(*ticks, "reward") for ticks in ranges], axis=1)
+            band(ax, np.mean(ranges, axis=1), rewards, colour=CELL_COLOURS[name], label=two_by_two.LABELS[name])
+    ax.set(xlabel="ticks", ylabel="reward per move")
+    ax.xaxis.set_major_formatter("{x:,.0f}")
+    ax.legend()
+    return ax

@@ -1,0 +1,221 @@
+"""What is set in an experiment of section 5.3, and what is refused: a setting that cannot work or would do nothing."""
+
+import math
+import operator
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from dropout_uncertainty.bayes import check_probability
+from dropout_uncertainty.exploration.agent import CHUNK
+from dropout_uncertainty.exploration.foraging.world import Rules
+from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
+
+__all__ = ["BLOCK", "NO_DROPOUT", "AgentConfig", "Config", "check_seeds", "make_policy"]
+
+#: Ticks per block, the unit in which results are kept: one point of the demo's plot.
+BLOCK = 500
+NO_DROPOUT = (0.0, 0.0, 0.0)
+COOLING = {"temperature_start": "start", "temperature_end": "end", "cooling_end": "cooling_end"}
+#: Fields of ``Config`` that set a policy, and what they are called there.
+SCHEDULES: dict[str, dict[str, str]] = {
+    "epsilon-greedy": {"anneal_end": "anneal_end", "epsilon_floor": "floor"},
+    "boltzmann": COOLING,
+    "annealed-thompson": COOLING,
+}
+
+
+@dataclass(frozen=True)
+class AgentConfig:
+    """What distinguishes the agents of one world."""
+
+    policy: str
+    """Behaviour policy, a key of ``POLICIES``."""
+    drop: tuple[float, ...] = NO_DROPOUT
+    """Drop probability before each weight layer: inputs, hidden 1, hidden 2."""
+    drop_acting: tuple[float, ...] | None = field(default=None, metadata={"before": None})
+    """Drop probabilities of the draws that are acted on; None: those of learning. Ours."""
+    hold: int = field(default=1, metadata={"before": 1})
+    """Ticks for which a draw is held in acting; the thesis takes a new one at every tick. Ours."""
+    draws_until: int | None = field(default=None, metadata={"before": None})
+    """Last tick at which a draw is acted on, later the mean weights; None: no end. Ours, after footnote 4."""
+
+    def __post_init__(self) -> None:
+        _as_plain_numbers(self)
+
+    @property
+    def drop_when_acting(self) -> tuple[float, ...]:
+        """Drop probabilities of the draws that are acted on."""
+        return self.drop if self.drop_acting is None else self.drop_acting
+
+
+@dataclass(frozen=True)
+class Config:
+    """One experiment. Sources: rl_demo.html and deepqlearn.js of the demo, unless said otherwise."""
+
+    agents: tuple[AgentConfig, ...]
+    """The agents; more than one share a world and its items."""
+    ticks: int
+    """Length of a run; the demo runs until it is stopped."""
+    hidden: tuple[int, ...] = (50, 50)
+    """Widths of the hidden layers."""
+    burn_in: int = 3000
+    """Transitions in memory before agents stop acting at random; the thesis says 25 batches."""
+    anneal_end: int = 200_000
+    """Tick at which ε would reach 0 if it did not stop at its floor."""
+    epsilon_floor: float = 0.05
+    """Smallest ε."""
+    temperature_start: float = 0.1
+    """Temperature at the end of the burn-in, in units of Q; ours, see ``Boltzmann``."""
+    temperature_end: float = 0.003
+    """Last temperature, in units of Q; ours."""
+    cooling_end: int = 200_000
+    """Tick at which the temperature reaches its end, having fallen geometrically; ours."""
+    memory: int = 30_000
+    """Transitions in the replay memory."""
+    learning_start: int = 1000
+    """Learning begins when the memory holds more transitions than this."""
+    batch: int = 64
+    """Transitions per learning step, drawn with replacement; one step per tick, the thesis's "batch"."""
+    discount: float = 0.7
+    """γ."""
+    learning_rate: float = 0.001
+    """Step size of gradient descent on the mean over the minibatch."""
+    l2_decay: float = 0.01
+    """Weight decay; convnetjs divides it by the batch size."""
+    held_out_every: int = 0
+    """Each n-th block of transitions is kept from learning, to measure TD errors on it; 0: none. Ours."""
+    rules: Rules = field(default_factory=Rules)
+    """Rules of the world."""
+
+    def __post_init__(self) -> None:
+        _as_plain_numbers(self)
+        _check_sizes(self)
+        for agent in self.agents:
+            _check_agent(agent, self)
+        _check_schedules(self)
+
+
+def make_policy(name: str, config: Config) -> Policy:
+    """Return the policy of that name with the settings of the config."""
+    schedule = {theirs: getattr(config, ours) for ours, theirs in SCHEDULES.get(name, {}).items()}
+    return policy(name, burn_in=config.burn_in, **schedule)
+
+
+def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
+    """Return seeds as plain integers.
+
+    Raises:
+        ValueError: if there are none, one is no integer of at least 0, or one comes twice.
+    """
+    try:
+        plain = tuple(operator.index(seed) for seed in seeds)
+    except TypeError:
+        raise ValueError(f"expected seeds as a list of integers, got {seeds!r}") from None
+    if not plain or min(plain) < 0 or len(set(plain)) < len(plain):
+        raise ValueError(f"expected at least one seed, each 0 or more and once only, got {plain}")
+    return plain
+
+
+# ------------------------------------------------------------------ what is refused
+
+
+def _as_plain_numbers(config: Any) -> None:
+    """Make NumPy numbers plain ones, and lists and arrays tuples, so that equal configs have equal hashes."""
+    for item in fields(config):
+        object.__setattr__(config, item.name, _plain(getattr(config, item.name)))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value
+
+
+def _check_whole(name: str, value: Any, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+
+
+def _check_number(name: str, value: Any, low: float, high: float = math.inf) -> None:
+    if not isinstance(value, int | float) or not (low <= value <= high and math.isfinite(value)):
+        wanted = f"from {low:g} to {high:g}" if high < math.inf else f"of at least {low:g}"
+        raise ValueError(f"{name} must be a number {wanted}, got {value!r}")
+
+
+def _check_sizes(config: Config) -> None:
+    """Refuse numbers out of their range, and sizes with which nothing would be learned or acted on."""
+    if not isinstance(config.agents, tuple) or not config.agents:
+        raise ValueError(f"a config needs at least one agent, as a tuple of AgentConfig, got {config.agents!r}")
+    for name, least in (("ticks", 1), ("memory", 1), ("batch", 1), ("learning_start", 0), ("held_out_every", 0)):
+        _check_whole(name, getattr(config, name), least)
+    if not isinstance(config.hidden, tuple):
+        raise ValueError(f"hidden must be a tuple of widths, got {config.hidden!r}")
+    for width in config.hidden:
+        _check_whole("a hidden layer's width", width, 1)
+    _check_whole("burn_in", config.burn_in, 1)
+    _check_number("discount", config.discount, 0.0, 1.0)
+    _check_number("l2_decay", config.l2_decay, 0.0)
+    _check_number("learning_rate", config.learning_rate, 0.0)
+    if config.learning_rate == 0:
+        raise ValueError("learning_rate must be above 0, or nothing is learned")
+    if not isinstance(config.rules, Rules):
+        raise ValueError(f"rules must be a Rules, got {config.rules!r}")
+    if config.ticks % BLOCK:
+        raise ValueError(f"ticks must be a positive multiple of {BLOCK}, got {config.ticks}")
+    if config.memory <= config.learning_start:
+        raise ValueError(
+            f"memory must exceed learning_start ({config.learning_start}), or learning never starts, "
+            f"got {config.memory}"
+        )
+    if config.burn_in <= config.learning_start:
+        raise ValueError(f"burn_in must exceed learning_start ({config.learning_start}), got {config.burn_in}")
+    if config.ticks < config.burn_in + 3:
+        raise ValueError(f"ticks must exceed burn_in + 2 ({config.burn_in + 2}), or all moves are random")
+    _check_held_out(config)
+
+
+def _check_held_out(config: Config) -> None:
+    every, blocks = config.held_out_every, config.ticks // BLOCK
+    if every and not 2 <= every <= min(blocks, config.memory + 1):
+        raise ValueError(f"held_out_every must be 0, or at least 2 and at most the {blocks} blocks, got {every}")
+
+
+def _check_agent(agent: AgentConfig, config: Config) -> None:
+    """Refuse an agent that cannot be, or draws that would be none."""
+    if not isinstance(agent, AgentConfig):
+        raise ValueError(f"expected agents as a tuple of AgentConfig, got {agent!r}")
+    name = agent.policy
+    if name not in POLICIES:
+        raise ValueError(f"unknown policy {name!r}, choose one of {', '.join(POLICIES)}")
+    for drop in (agent.drop, agent.drop_when_acting):
+        if not isinstance(drop, tuple) or len(drop) != len(config.hidden) + 1:
+            raise ValueError(f"expected {len(config.hidden) + 1} drop probabilities per agent, got {drop}")
+        for p in drop:
+            check_probability(p)
+    _check_whole("hold", agent.hold, 1)
+    if CHUNK % agent.hold and agent.hold % CHUNK:
+        raise ValueError(f"hold must be a divisor or a multiple of {CHUNK} ticks, got {agent.hold}")
+    draws = POLICIES[name].draws_weights
+    if draws and not any(agent.drop_when_acting):
+        raise ValueError(f"{name} acts on draws of the weights: at least one drop probability must be above 0")
+    if not draws and (agent.drop_acting, agent.hold, agent.draws_until) != (None, 1, None):
+        raise ValueError(f"{name} acts on the mean weights: drop_acting, hold and draws_until would do nothing")
+    if agent.draws_until is not None:
+        _check_whole("draws_until", agent.draws_until, config.burn_in + 3)
+        if agent.draws_until >= config.ticks:
+            raise ValueError(f"draws_until must lie before the last tick ({config.ticks}), got {agent.draws_until}")
+
+
+def _check_schedules(config: Config) -> None:
+    """Refuse a schedule that makes no sense, or that no agent follows."""
+    policies = [agent.policy for agent in config.agents]
+    for name in policies:
+        make_policy(name, config)
+    used = {setting for name in policies for setting in SCHEDULES.get(name, {})}
+    for item in fields(config):
+        known = any(item.name in settings for settings in SCHEDULES.values())
+        if known and item.name not in used and getattr(config, item.name) != item.default:
+            raise ValueError(f"{item.name} does nothing here: no agent has a policy that follows it")

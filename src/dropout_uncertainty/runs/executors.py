@@ -1,0 +1,94 @@
+"""Executors of units: processes of this machine, which end with their parent, and the workers of a Dask cluster."""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
+from typing import Any
+
+import torch
+from tqdm.auto import tqdm
+
+from dropout_uncertainty.runs.unit import RunError
+
+__all__ = ["cluster", "processes"]
+
+#: Seconds to wait for a scheduler's answer.
+CONNECT_SECONDS = 5.0
+QUIET = "ignore::UserWarning:multiprocessing.resource_tracker"
+
+
+def processes(workers: int | None = None) -> ProcessPoolExecutor:
+    """Return an executor of single-threaded processes, by default one per core; use it as a context.
+
+    An exception that leaves the context ends them at once, and so does the end of this process, whatever its cause.
+    """
+    # What a killed process leaves behind is put away by the tracker of the standard library, which need not say so.
+    if QUIET not in sys.warnoptions:
+        sys.warnoptions.append(QUIET)
+    # Spawned, because a fork of a process that has started threads can hang.
+    return _Processes(workers or os.cpu_count(), multiprocessing.get_context("spawn"), initializer=_become_worker)
+
+
+class _Processes(ProcessPoolExecutor):
+    def submit(self, *args: Any, **options: Any) -> Future:
+        # Ctrl-C reaches every process of a terminal but is this one's to answer; those started here inherit the mask.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(*args, **options)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            for worker in list((self._processes or {}).values()):  # Python 3.14 has kill_workers() for this
+                worker.kill()
+        self.shutdown(cancel_futures=kind is not None)
+
+
+def _become_worker() -> None:
+    """Make a process that has just been started compute on one thread, and end when its parent does."""
+    torch.set_num_threads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextlib.contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """Give an executor that sends units to the workers of a Dask cluster with a scheduler at ``address``.
+
+    A unit whose worker is lost goes to another one, which continues from the checkpoint if it shares the disk.
+
+    Raises:
+        RunError: if dask.distributed is not installed, no scheduler answers, it goes away, or a unit loses its workers
+            again and again.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise RunError("a Dask cluster needs the package distributed: `pip install 'distributed>=2024.8'`") from None
+    try:
+        distributed.comm.get_address_host_port(address)  # a client that cannot even begin complains when it is deleted
+        client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise RunError(f"no Dask scheduler answers at {address}: is it running, and is the address right?") from error
+    with client:
+        if not client.nthreads():
+            tqdm.write(f"the scheduler at {address} has no workers yet: units wait for one")
+        try:
+            # Not pure: a unit that failed is tried again when it is asked for again.
+            yield client.get_executor(pure=False)
+        except distributed.KilledWorker as error:
+            raise RunError(f"workers died again and again of one unit; is their memory enough? {error}") from error
+        except CancelledError:
+            raise RunError(f"the scheduler at {address} is gone; the same command continues with another") from None

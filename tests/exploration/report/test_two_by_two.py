@@ -1,0 +1,100 @@
+"""The two-by-two agents: contrasts by hand, what is missing, results and pictures."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from dropout_uncertainty.exploration.experiment import TWO_BY_TWO
+from dropout_uncertainty.exploration.report import figures, two_by_two
+from dropout_uncertainty.exploration.report.analysis import Curves
+from dropout_uncertainty.exploration.report.two_by_two import CONTRASTS, LABELS, Contrast
+
+#: Reward of every agent before and after tick 100,000; each seed adds a hundredth of its number.
+LEVELS = {
+    "dropout-draw": (0.9, 0.9), "dropout-mean": (0.95, 0.95), "plain-draw": (0.8, 0.8), "plain-mean": (1.0, 1.0),
+    "masks-off-late": (0.9, 1.05),
+}  # fmt: skip
+
+
+def curves(name, seeds=(0, 1, 2), blocks=400, explored=50):
+    early, late = LEVELS[name]
+    reward = np.where(np.arange(blocks) < 200, early, late) + 0.01 * np.array(seeds)[:, None]
+    reward[:, :6] = 99.0  # the burn-in does not count
+    arrays = {"reward": reward, "explored": np.full(reward.shape, explored)}
+    return Curves("thompson", f"two-by-two/{name}", reward, tuple(seeds), arrays)
+
+
+@pytest.fixture
+def cells():
+    return {name: curves(name) for name in LEVELS}
+
+
+def test_every_agent_has_a_label_and_every_contrast_agents():
+    assert {f"two-by-two/{name}" for name in LABELS} == set(TWO_BY_TWO)
+    for contrast in CONTRASTS.values():
+        assert set(contrast.weights) <= set(LABELS)
+        assert sum(contrast.weights.values()) == pytest.approx(0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("acting", -0.05), ("learning", -0.05), ("both", -0.1), ("acting-plain", -0.2), ("learning-draw", 0.1),
+        ("acting-average", -0.125), ("learning-average", 0.025), ("masks-off", 0.15),
+    ],
+)  # fmt: skip
+def test_contrasts_by_hand(cells, name, value):
+    found = two_by_two.interval(cells, CONTRASTS[name])
+    assert found.value == pytest.approx(value)
+    assert found.n == 3
+    assert found.high - found.low == pytest.approx(0, abs=1e-12)  # seeds cancel: the same ones stand on both sides
+
+
+def test_agents_are_paired_by_seed_not_by_place(cells):
+    cells["dropout-mean"] = curves("dropout-mean", seeds=(5, 2, 0, 1))
+    other = two_by_two.differences(cells, CONTRASTS["acting"])
+    np.testing.assert_allclose(other, -0.05)
+    assert len(other) == 3
+    lone = two_by_two.differences(cells, Contrast("itself", {"dropout-mean": 1.0}))
+    np.testing.assert_allclose(lone, [0.95, 0.96, 0.97, 1.0])
+
+
+def test_what_is_not_run_yet_is_said(cells):
+    del cells["plain-draw"]
+    assert two_by_two.interval(cells, CONTRASTS["acting-plain"]) is None
+    assert two_by_two.interval({name: curves(name, blocks=20) for name in LEVELS}, CONTRASTS["masks-off"]) is None
+    lines = {line[0]: line for line in two_by_two.contrast_table(cells)[1]}
+    assert lines[CONTRASTS["acting-plain"].text][2] == "not run yet"
+    assert lines[CONTRASTS["acting"].text][2].startswith("-0.050 [")
+    lines = {line[0]: line for line in two_by_two.cell_table(cells)[1]}
+    assert lines[LABELS["plain-draw"]][1] == "not run yet"
+    assert lines[LABELS["dropout-draw"]][2:] == ["10 %", 3]
+
+
+def test_results_carry_the_ids_that_other_programs_rely_on(cells, monkeypatch):
+    monkeypatch.setattr(two_by_two, "load", lambda folder: cells)
+    found = {result.id: result for result in two_by_two.results()}
+    assert found["two-by-two/dropout-draw/reward"].ours == pytest.approx(0.91)
+    assert found["two-by-two/masks-off-late/reward-late"].ours == pytest.approx(1.06)
+    assert found["two-by-two/contrast/acting"].ours == pytest.approx(-0.05)
+    assert all(result.verdict is None for result in found.values())
+    assert "two-by-two/contrast/hold-10" not in found
+
+
+def test_without_records_there_are_no_results(tmp_path):
+    assert two_by_two.results(tmp_path) == []
+    assert two_by_two.load(tmp_path) == {}
+
+
+@pytest.mark.parametrize("some", [True, False])
+def test_pictures_show_what_there_is(cells, some):
+    fig, axes = plt.subplots(1, 3)
+    shown = cells if some else {}
+    figures.interaction(axes[0], shown)
+    figures.held_draws(axes[1], shown)
+    figures.curves_of_cells(axes[2], shown, list(LEVELS))
+    if some:
+        line = axes[0].containers[0].lines[0]
+        np.testing.assert_allclose(line.get_ydata(), [0.96, 0.91])
+        assert len(axes[2].lines) == 4 * len(LEVELS)  # mean and three seeds of each
+    plt.close(fig)
