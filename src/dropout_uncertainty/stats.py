@@ -93,8 +93,9 @@ def share_estimate(flags: Sequence[bool] | np.ndarray, claimed: float) -> Estima
     if n == 0:
         return _unknown(np.nan, 0)
     test = scipy_stats.binomtest(int(flags.sum()), n, claimed)
-    ends = [end - claimed for level in (0.95, 0.90) for end in test.proportion_ci(level, method="wilson")]
-    return Estimate(float(flags.mean() - claimed), *map(float, ends), float(test.pvalue), n)
+    wide, narrow = (test.proportion_ci(level, method="wilson") for level in (0.95, 0.90))
+    low, high, low90, high90 = (float(end - claimed) for end in (wide.low, wide.high, narrow.low, narrow.high))
+    return Estimate(float(flags.mean() - claimed), low, high, low90, high90, float(test.pvalue), n)
 
 
 def difference_of_shares(first: Sequence[bool] | np.ndarray, second: Sequence[bool] | np.ndarray) -> Estimate:

@@ -7,13 +7,25 @@ from pathlib import Path
 from typing import Literal
 
 from dropout_uncertainty.judging import rules
+from dropout_uncertainty.judging.results import Result, finite
 from dropout_uncertainty.judging.rules import Verdict
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Estimate, Interval
 
-__all__ = ["NEAR", "Judged", "Kind", "Measured", "Statement", "audited", "from_range", "judge", "nothing", "shifted"]
+__all__ = [
+    "KINDS", "NEAR", "Judged", "Kind", "Measured", "Statement", "StatementResult", "audited", "from_range", "judge",
+    "nothing", "shifted",
+]  # fmt: skip
 
 Kind = Literal["value", "less", "more", "equality", "audit"]
+
+#: What each kind of statement can come out as.
+KINDS = {
+    "printed values": (("value",), ("agrees", "differs", "imprecise", "untested")),
+    "comparisons": (("less", "more"), ("supported", "contradicted", "no difference", "inconclusive", "untested")),
+    "equalities": (("equality",), ("supported", "contradicted", "inconclusive", "untested")),
+    "audits": (("audit",), ("confirmed", "refuted", "untested")),
+}
 
 #: The margin of a printed value, as a share of it, where there is no special one.
 NEAR = 0.15
@@ -45,8 +57,8 @@ def nothing(folder: Path | None) -> None:
 
 def audited(holds: bool) -> Measured:
     """Return the evidence about a fact."""
-    value = float(holds)
-    return Measured(Estimate(value, *[math.nan] * 5, 0), Interval(value, math.nan, math.nan, 0))
+    value, nan = float(holds), math.nan
+    return Measured(Estimate(value, nan, nan, nan, nan, nan, 0), Interval(value, nan, nan, 0))
 
 
 def shifted(interval: Interval, by: float) -> Interval:
@@ -57,7 +69,7 @@ def shifted(interval: Interval, by: float) -> Interval:
 def from_range(estimate: Estimate, low: float, high: float) -> Estimate:
     """Return how far a quantity lies outside a printed range, counted from its nearer end; no p-value."""
     value, *ends = (x - min(max(x, low), high) for x in estimate[:5])
-    return Estimate(value, *ends, math.nan, estimate.n)
+    return Estimate(value, ends[0], ends[1], ends[2], ends[3], math.nan, estimate.n)
 
 
 @dataclass(frozen=True)
@@ -142,6 +154,58 @@ class Judged:
             return f"differences below {half:.2g} {statement.unit} could not be seen".replace("  ", " ").strip()
         return "small: within the margin" if self.small else ""
 
+    @property
+    def sources(self) -> list[Record]:
+        """The records behind it, each once."""
+        return list({record.label: record for record in self.measured.records}.values()) if self.measured else []
+
+    def result(self) -> "StatementResult":
+        """Return it in the form of ``python -m dropout_uncertainty results``."""
+        statement, measured, found = self.statement, self.measured, self.sources
+        ours = measured.ours if measured else Interval(math.nan, math.nan, math.nan, 0)
+        return StatementResult(
+            id=f"statement/{statement.id}",
+            unit=statement.unit,
+            statistic=statement.text,
+            thesis=statement.thesis,
+            ours=finite(ours.value),
+            low=finite(ours.low),
+            high=finite(ours.high),
+            seeds=sorted({seed for record in found for seed in record.seeds}),
+            config=", ".join(dict.fromkeys(record.header["name"] for record in found)),
+            verdict=self.verdict,
+            records=[record.label for record in found],
+            kind=statement.kind,
+            primary=statement.primary,
+            plain=self.plain,
+            margin=statement.margin,
+            n=measured.difference.n if measured else 0,
+            p=finite(self.p),
+            small=self.small,
+            why=self.why,
+        )
+
+
+@dataclass(frozen=True)
+class StatementResult(Result):
+    """A statement among the numbers of the book.
+
+    Attributes:
+        verdict: adjusted for the other primary statements of its section, if it is one.
+        kind, primary, margin: see ``Statement``.
+        plain, p, small, why: see ``Judged``.
+        n: repetitions.
+    """
+
+    kind: Kind
+    primary: bool
+    plain: Verdict
+    margin: float
+    n: int
+    p: float | None
+    small: bool
+    why: str
+
 
 def judge(statements: Iterable[Statement], folder: Path | None = None) -> list[Judged]:
     """Return the statements of one section with the verdicts that the records of ``folder`` give them."""
@@ -157,7 +221,7 @@ def judge(statements: Iterable[Statement], folder: Path | None = None) -> list[J
         small = (
             measured is not None
             and statement.kind in ("less", "more")
-            and rules.small(verdict, measured.difference, statement.margin)
+            and bool(rules.small(verdict, measured.difference, statement.margin))
         )
         level = adjusted.get(statement.id, measured.difference.p if measured else math.nan)
         judged.append(Judged(statement, measured, plain[statement.id], verdict, level, small))

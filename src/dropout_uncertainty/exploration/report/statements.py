@@ -27,7 +27,7 @@ from dropout_uncertainty.exploration.report.analysis import (
 )
 from dropout_uncertainty.judging.results import printed
 from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, nothing, shifted
-from dropout_uncertainty.stats import Interval, bootstrap_estimate, mean_estimate, share_estimate, t_interval
+from dropout_uncertainty.stats import bootstrap_estimate, mean_estimate, share_estimate, t_interval
 
 __all__ = ["STATEMENTS"]
 

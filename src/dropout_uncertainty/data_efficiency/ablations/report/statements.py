@@ -23,7 +23,7 @@ from dropout_uncertainty.judging.results import printed
 from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, audited, shifted
 from dropout_uncertainty.stats import mean_estimate
 
-__all__ = ["STATEMENTS"]
+__all__ = ["SENSITIVITY", "STATEMENTS"]
 
 stated = partial(of_section, chapter="5_4_what_matters")
 #: Margins: of logarithms of standard deviations and variances, and of exponents.
@@ -99,18 +99,16 @@ EXPONENTS = [
 ]  # fmt: skip
 #: Of 40 trials of PILCO by those of Deep PILCO.
 HOURS = printed("figure-5.7/pilco/hours-40-trials") / printed("figure-5.7/deep-pilco/hours-40-trials")
-#: Hyper-parameters and their changes (DE10).
-CHANGES = [
-    *(
-        (f"{what} is {words}", f"{name}-{change}")
-        for name, what in (
-            ("dropout", "the dropout probability"), ("length-scale", "the length-scale"),
-            ("model-rate", "the network's learning rate"), ("policy-rate", "the policy's learning rate"),
-        )
-        for change, words in (("half", "halved"), ("twice", "doubled"))
-    ),
-    ("there are a third of the particles", "particles-third"),
-]  # fmt: skip
+#: Hyper-parameters that DE10 is about, and the variants that change them.
+SENSITIVITY = {
+    "dropout probability": ("dropout-half", "dropout-twice"),
+    "length-scale": ("length-scale-half", "length-scale-twice"),
+    "network's learning rate": ("model-rate-half", "model-rate-twice"),
+    "controller's learning rate": ("policy-rate-half", "policy-rate-twice"),
+    "number of particles": ("particles-third",),
+}
+CHANGED = {"half": "halved", "twice": "doubled", "third": "cut to a third"}
+CHANGES = [(words, name) for words, names in SENSITIVITY.items() for name in names]
 
 STATEMENTS: list[Statement] = [
     stated("DE4a", "Moment matching, of all dimensions together, makes learning cheaper.", CRUCIAL, "less", MARGIN_COST,
@@ -154,7 +152,8 @@ STATEMENTS: list[Statement] = [
     stated("DE8h", "Deep PILCO's time grows linearly with the number of trials.", "Section 5.4", "value",
            MARGIN_EXPONENT, partial(exponent, "deep-pilco-diagonal", "transitions", 1.0), unit="exponent", thesis=1.0),
     *(
-        stated(f"DE10{letter}", f"Deep PILCO's learning costs the same where {words}.", "Section 5.4.2, output uncertainty",
+        stated(f"DE10{letter}", f"Deep PILCO's learning costs the same with the {words} "
+               f"{CHANGED[name.rpartition('-')[2]]}.", "Section 5.4.2",
                "equality", MARGIN_COST, partial(dearer, name, None), unit="cost per step")
         for letter, (words, name) in zip("abcdefghi", CHANGES, strict=True)
     ),
