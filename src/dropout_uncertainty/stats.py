@@ -60,7 +60,7 @@ def _unknown(value: float, n: int) -> Estimate:
 
 
 def _student(value: float, error: float, freedom: float | int, n: int) -> Estimate:
-    half95, half90 = (error * scipy_stats.t.ppf(q, freedom) for q in (0.975, 0.95))
+    half95, half90 = (float(error * scipy_stats.t.ppf(q, freedom)) for q in (0.975, 0.95))
     p = 2 * scipy_stats.t.sf(abs(value) / error, freedom) if error > 0 else float(value == 0)
     return Estimate(value, value - half95, value + half95, value - half90, value + half90, float(p), n)
 

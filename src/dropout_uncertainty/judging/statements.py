@@ -221,7 +221,7 @@ def judge(statements: Iterable[Statement], folder: Path | None = None) -> list[J
         small = (
             measured is not None
             and statement.kind in ("less", "more")
-            and bool(rules.small(verdict, measured.difference, statement.margin))
+            and rules.small(verdict, measured.difference, statement.margin)
         )
         level = adjusted.get(statement.id, measured.difference.p if measured else math.nan)
         judged.append(Judged(statement, measured, plain[statement.id], verdict, level, small))
