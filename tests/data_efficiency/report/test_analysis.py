@@ -49,7 +49,8 @@ def write(folder, first, name="pilco-paper", **options):
         "provenance": {f"{part}_cpu_s": [6.0] * (TRIALS + 1) for part in ("model", "policy", "trial")},
     }  # fmt: skip
     arrays32 = {name: value.astype(np.float32) for name, value in arrays(first, **options).items()}
-    records.write(folder / "data_efficiency" / name / "000-005.npz", arrays32, header)
+    span = f"000-{len(first) - 1:03d}" if len(first) > 1 else "000"
+    records.write(folder / "data_efficiency" / name / f"{span}.npz", arrays32, header)
     return folder
 
 

@@ -172,9 +172,7 @@ class DeepPilcoLearning:
     )
 
     def __init__(self, config: DeepPilcoConfig, seeds: Sequence[int], device: str, dtype: torch.dtype) -> None:
-        if len(seeds) == 0:
-            raise ValueError("at least one seed is needed, got none")
-        self.config, self.seeds = config, tuple(seeds)
+        self.config, self.seeds = config, rng.check_seeds(seeds)
         self.total, self.done = config.trials + 1, 0
         self.shape = planning.RBFShape(config.basis)
         common: dict[str, Any] = {

@@ -24,6 +24,7 @@ from dropout_uncertainty.runs import records, sweep
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import Unit
+from dropout_uncertainty.settings import tidy
 
 __all__ = [
     "CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer",
@@ -58,6 +59,7 @@ class PilcoConfig:
     start state is uncertain then."""
 
     def __post_init__(self) -> None:
+        tidy(self)
         if self.trials < 1 or self.basis < 1 or self.policy_iterations < 1 or self.model_iterations < 1:
             raise ValueError(f"trials, basis functions and line searches must be positive, got {asdict(self)}")
         if self.inducing < 0 or self.inducing_iterations < 1 or self.target_std <= 0:
@@ -95,9 +97,7 @@ class PilcoLearning:
     )
 
     def __init__(self, config: PilcoConfig, seeds: Sequence[int], device: str = "cpu") -> None:
-        if len(seeds) == 0:
-            raise ValueError("at least one seed is needed, got none")
-        self.config, self.seeds, self.device = config, tuple(seeds), device
+        self.config, self.seeds, self.device = config, rng.check_seeds(seeds), device
         self.total, self.done = config.trials + 1, 0
         self.shape = planning.PolicyShape(config.basis)
         self.policy = self._draw_policy(0)
@@ -264,11 +264,11 @@ class PilcoLearning:
         self.done = done = arrays["costs"].shape[1]
         for kept in (self.log, self.counts):
             for name, values in kept.items():
-                values[:, :done] = torch.from_numpy(arrays[name])
+                values[:, :done] = torch.tensor(arrays[name])
         for part, spent in self.seconds.items():
             spent[:done] = seconds[part]
         self.policy, self.hyper = self.log["policy"][:, done - 1].clone(), self.log["hyper"][:, done - 1].clone()
-        self.inducing = torch.from_numpy(arrays["inducing"]) if "inducing" in arrays else None
+        self.inducing = torch.tensor(arrays["inducing"]) if "inducing" in arrays else None
         for trial in range(done):
             self._append(self.log["observed"][:, trial], self.log["forces"][:, trial])
 

@@ -25,13 +25,20 @@ from dropout_uncertainty.exploration.report.analysis import (
     median,
     paired,
 )
+from dropout_uncertainty.exploration.report.deep_sea import analysis as deep_sea
 from dropout_uncertainty.judging.results import printed
 from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, nothing, shifted
-from dropout_uncertainty.stats import bootstrap_estimate, mean_estimate, share_estimate, t_interval
+from dropout_uncertainty.stats import (
+    bootstrap_estimate,
+    difference_of_shares,
+    mean_estimate,
+    share_estimate,
+    t_interval,
+)
 
 __all__ = ["STATEMENTS"]
 
-CHAPTER, TWO_BY_TWO, DEEP_SEA = "5_3_exploration", "5_3_is_it_exploration", "5_3_deep_sea"
+CHAPTER, TWO_BY_TWO = "5_3_exploration", "5_3_is_it_exploration"
 #: Margins: of rewards per move, of shares, and of squared TD errors, a tenth of their size.
 MARGIN, MARGIN_SHARE, MARGIN_TD = 0.02, 0.1, 0.017
 #: Batches from the end of the burn-in that the text counts.
@@ -187,6 +194,16 @@ def contrast(first: str, second: str, ticks: tuple[int, int], folder: Path | Non
     return Measured(difference, difference.interval, records_of(found[0], found[1]))
 
 
+def deeper(other: str, folder: Path | None) -> Measured | None:
+    """Return the share of seas of size 10 that a draw held for an episode solves, less that of another agent."""
+    dives = deep_sea.load(folder)
+    one, two = (dives.get((name, 10)) for name in ("dropout-per-episode", other))
+    if one is None or two is None:
+        return None
+    difference = difference_of_shares(one.within(), two.within())
+    return Measured(difference, difference.interval, [*one.records, *two.records])
+
+
 # ------------------------------------------------------------------ the list
 
 TEXT, FOOTNOTE, REMARK = "Section 5.3, text to Figure 5.4", "Section 5.3, footnote 4", "Section 5.3, Remark"
@@ -209,6 +226,14 @@ def cut(
     return Statement(
         identifier, text, where, kind, MARGIN, TWO_BY_TWO, partial(contrast, first, second, ticks), unit="reward",
         primary=primary, would_test="20 runs of both agents in worlds of their own",
+    )  # fmt: skip
+
+
+def dived(identifier: str, text: str, other: str, *, primary: bool = False) -> Statement:
+    """Return a statement about the agent that holds a draw for an episode and another one, in Deep Sea."""
+    return Statement(
+        identifier, text, "Section 5.3, first paragraph", "more", MARGIN_SHARE, TWO_BY_TWO, partial(deeper, other),
+        unit="share", primary=primary, would_test="20 runs of both agents in Deep Sea of size 10, 2,000 episodes each",
     )  # fmt: skip
 
 
@@ -281,11 +306,7 @@ STATEMENTS: list[Statement] = [
     quoted("EX8b", "On Atari, it learns faster than DQN on more games (8) than not (5), by area under the curve."),
     quoted("EX8c", "On Atari, Boltzmann exploration beats Thompson sampling's score on more games (8) than not (4)."),
     quoted("EX8d", "On Atari, it learns faster than Thompson sampling on more games (9) than not (3)."),
-    Statement("EX9", "Uncertainty tells an agent when to explore: where reward is deep, an agent that holds a draw of "
-              "its weights for an episode finds it more often than ε-greedy.", "Section 5.3, first paragraph", "more",
-              MARGIN_SHARE, DEEP_SEA, nothing, unit="share", primary=True,
-              would_test="20 runs of both agents in Deep Sea of size 10, 2,000 episodes each"),
-    Statement("EX9b", "There a draw held for an episode finds it more often than a draw per step.",
-              "Section 5.3, first paragraph", "more", MARGIN_SHARE, DEEP_SEA, nothing, unit="share",
-              would_test="20 runs of both agents in Deep Sea of size 10, 2,000 episodes each"),
+    dived("EX9", "Uncertainty tells an agent when to explore: where reward is deep, an agent that holds a draw of its "
+          "weights for an episode finds it more often than ε-greedy.", "epsilon-greedy", primary=True),
+    dived("EX9b", "There a draw held for an episode finds it more often than a draw per move.", "dropout-per-move"),
 ]  # fmt: skip
