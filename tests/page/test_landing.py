@@ -8,6 +8,7 @@ import pytest
 
 from dropout_uncertainty.data_efficiency.plant.cost import SOLVED_BELOW
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.report import analysis as exploration
 from dropout_uncertainty.judging.collect import collect
 from dropout_uncertainty.judging.statements import StatementResult
@@ -79,7 +80,7 @@ def test_readme_has_the_numbers_of_the_records(results):
 
 
 def test_a_readme_without_the_marks_is_refused():
-    with pytest.raises(ValueError, match="the README must hold the lines"):
+    with pytest.raises(UserError, match="the README must hold the lines"):
         landing.readme("# A title", [])
 
 
