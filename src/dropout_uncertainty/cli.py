@@ -201,7 +201,7 @@ def results(as_json: Annotated[bool, typer.Option("--json", help="print JSON")] 
 
     found = collect()
     if as_json:
-        typer.echo(json.dumps([result.plain() for result in found], indent=1, ensure_ascii=False))
+        typer.echo(json.dumps([result.data() for result in found], indent=1, ensure_ascii=False))
         return
     for r in found:
         numbers = " ".join(f"{name} {value:g}" for name, value in _numbers(r) if value is not None)

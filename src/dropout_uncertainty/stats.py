@@ -15,7 +15,7 @@ from scipy import stats as scipy_stats
 __all__ = [
     "CONFIDENCE", "Estimate", "Interval", "bootstrap_estimate", "bootstrap_interval", "crossing_interval",
     "difference_of_means", "difference_of_shares", "first_crossing", "mean_estimate", "median_filter",
-    "median_interval", "paired_difference", "ratio_interval", "t_interval",
+    "median_interval", "paired_difference", "ratio_interval", "share_estimate", "t_interval",
 ]  # fmt: skip
 
 CONFIDENCE = 0.95
@@ -50,13 +50,18 @@ class Estimate(NamedTuple):
     p: float
     n: int
 
+    @property
+    def interval(self) -> Interval:
+        """The estimate with its 95 % interval."""
+        return Interval(self.value, self.low, self.high, self.n)
+
 
 def _unknown(value: float, n: int) -> Estimate:
     return Estimate(value, np.nan, np.nan, np.nan, np.nan, np.nan, n)
 
 
 def _student(value: float, error: float, freedom: float | int, n: int) -> Estimate:
-    half95, half90 = (error * scipy_stats.t.ppf(q, freedom) for q in (0.975, 0.95))
+    half95, half90 = (float(error * scipy_stats.t.ppf(q, freedom)) for q in (0.975, 0.95))
     p = 2 * scipy_stats.t.sf(abs(value) / error, freedom) if error > 0 else float(value == 0)
     return Estimate(value, value - half95, value + half95, value - half90, value + half90, float(p), n)
 
@@ -80,6 +85,18 @@ def difference_of_means(first: Sequence[float] | np.ndarray, second: Sequence[fl
     value, error = float(first.mean() - second.mean()), float(squares.sum() ** 0.5)
     parts = squares**2 / (np.array([len(first), len(second)]) - 1)
     return _student(value, error, float(squares.sum() ** 2 / parts.sum()) if error > 0 else 1.0, n)
+
+
+def share_estimate(flags: Sequence[bool] | np.ndarray, claimed: float) -> Estimate:
+    """Return a share less a claimed one, with Wilson's intervals; the p-value is that of the exact binomial test."""
+    flags = np.asarray(flags, bool)
+    n = len(flags)
+    if n == 0:
+        return _unknown(np.nan, 0)
+    test = scipy_stats.binomtest(int(flags.sum()), n, claimed)
+    wide, narrow = (test.proportion_ci(level, method="wilson") for level in (0.95, 0.90))
+    low, high, low90, high90 = (float(end - claimed) for end in (wide.low, wide.high, narrow.low, narrow.high))
+    return Estimate(float(flags.mean() - claimed), low, high, low90, high90, float(test.pvalue), n)
 
 
 def difference_of_shares(first: Sequence[bool] | np.ndarray, second: Sequence[bool] | np.ndarray) -> Estimate:

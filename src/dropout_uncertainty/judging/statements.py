@@ -1,18 +1,36 @@
 """Statements of the chapter: one sentence, one quantity, one verdict by ``judging.rules``."""
 
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from dropout_uncertainty.judging import rules
+from dropout_uncertainty.judging.results import Result, finite
 from dropout_uncertainty.judging.rules import Verdict
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Estimate, Interval
 
-__all__ = ["Judged", "Kind", "Measured", "Statement", "judge"]
+__all__ = [
+    "KINDS", "NEAR", "Judged", "Kind", "Measured", "Statement", "StatementResult", "audited", "from_range", "judge",
+    "nothing", "shifted",
+]  # fmt: skip
 
 Kind = Literal["value", "less", "more", "equality", "audit"]
+
+#: What each kind of statement can come out as.
+KINDS = {
+    "printed values": (("value",), ("agrees", "differs", "imprecise", "untested")),
+    "comparisons": (("less", "more"), ("supported", "contradicted", "no difference", "inconclusive", "untested")),
+    "equalities": (("equality",), ("supported", "contradicted", "inconclusive", "untested")),
+    "audits": (("audit",), ("confirmed", "refuted", "untested")),
+}
+
+#: The margin of a printed value, as a share of it, where there is no special one.
+NEAR = 0.15
+#: Repetitions of a primary statement; of section 5.4, whose learners differ more from seed to seed.
+PRIMARY, PRIMARY_5_4 = 20, 40
 
 
 @dataclass(frozen=True)
@@ -24,11 +42,34 @@ class Measured:
             ``value`` is 1 (the fact holds) or 0.
         ours: what is shown beside the thesis's value, with its 95 % interval.
         records: those behind it.
+        beside: other ways to count, by name, which are shown and not judged.
     """
 
     difference: Estimate
     ours: Interval
-    records: Sequence[Record]
+    records: Sequence[Record] = ()
+    beside: Mapping[str, Interval] = field(default_factory=dict)
+
+
+def nothing(folder: Path | None) -> None:
+    """Return what is known of a statement for which nothing has been run."""
+
+
+def audited(holds: bool) -> Measured:
+    """Return the evidence about a fact."""
+    value, nan = float(holds), math.nan
+    return Measured(Estimate(value, nan, nan, nan, nan, nan, 0), Interval(value, nan, nan, 0))
+
+
+def shifted(interval: Interval, by: float) -> Interval:
+    """Return an interval moved along, such as that of a difference back to the quantity itself."""
+    return Interval(interval.value + by, interval.low + by, interval.high + by, interval.n)
+
+
+def from_range(estimate: Estimate, low: float, high: float) -> Estimate:
+    """Return how far a quantity lies outside a printed range, counted from its nearer end; no p-value."""
+    value, *ends = (x - min(max(x, low), high) for x in estimate[:5])
+    return Estimate(value, ends[0], ends[1], ends[2], ends[3], math.nan, estimate.n)
 
 
 @dataclass(frozen=True)
@@ -62,10 +103,19 @@ class Statement:
     primary: bool = False
     would_test: str = ""
 
+    @property
+    def least(self) -> int:
+        """Repetitions that a verdict needs."""
+        if not self.primary:
+            return rules.LEAST
+        return PRIMARY_5_4 if self.id.startswith("DE") else PRIMARY
+
     def verdict(self, difference: Estimate) -> Verdict:
         """Return the verdict of an estimate, not adjusted for other statements."""
         if self.kind == "audit":
             return "confirmed" if difference.value else "refuted"
+        if difference.n < self.least:
+            return "untested"
         if self.kind == "value":
             return rules.value(difference, self.margin)
         if self.kind == "equality":
@@ -91,19 +141,88 @@ class Judged:
     p: float
     small: bool
 
+    @property
+    def why(self) -> str:
+        """Why nothing could be said, or how small a difference could have been seen; empty for other verdicts."""
+        statement, measured = self.statement, self.measured
+        if measured is None:
+            return statement.would_test or "no records yet"
+        if self.plain == "untested":
+            return f"{measured.difference.n} of {statement.least} repetitions"
+        if self.verdict in ("inconclusive", "imprecise"):
+            half = (measured.difference.high - measured.difference.low) / 2
+            return f"differences below {half:.2g} {statement.unit} could not be seen".replace("  ", " ").strip()
+        return "small: within the margin" if self.small else ""
+
+    @property
+    def sources(self) -> list[Record]:
+        """The records behind it, each once."""
+        return list({record.label: record for record in self.measured.records}.values()) if self.measured else []
+
+    def result(self) -> "StatementResult":
+        """Return it in the form of ``python -m dropout_uncertainty results``."""
+        statement, measured, found = self.statement, self.measured, self.sources
+        ours = measured.ours if measured else Interval(math.nan, math.nan, math.nan, 0)
+        return StatementResult(
+            id=f"statement/{statement.id}",
+            unit=statement.unit,
+            statistic=statement.text,
+            thesis=statement.thesis,
+            ours=finite(ours.value),
+            low=finite(ours.low),
+            high=finite(ours.high),
+            seeds=sorted({seed for record in found for seed in record.seeds}),
+            config=", ".join(dict.fromkeys(record.header["name"] for record in found)),
+            verdict=self.verdict,
+            records=[record.label for record in found],
+            kind=statement.kind,
+            primary=statement.primary,
+            plain=self.plain,
+            margin=statement.margin,
+            n=measured.difference.n if measured else 0,
+            p=finite(self.p),
+            small=self.small,
+            why=self.why,
+        )
+
+
+@dataclass(frozen=True)
+class StatementResult(Result):
+    """A statement among the numbers of the book.
+
+    Attributes:
+        verdict: adjusted for the other primary statements of its section, if it is one.
+        kind, primary, margin: see ``Statement``.
+        plain, p, small, why: see ``Judged``.
+        n: repetitions.
+    """
+
+    kind: Kind
+    primary: bool
+    plain: Verdict
+    margin: float
+    n: int
+    p: float | None
+    small: bool
+    why: str
+
 
 def judge(statements: Iterable[Statement], folder: Path | None = None) -> list[Judged]:
     """Return the statements of one section with the verdicts that the records of ``folder`` give them."""
     found = [(statement, statement.measure(folder)) for statement in statements]
     plain = {s.id: s.verdict(m.difference) if m else "untested" for s, m in found}
-    p = {s.id: m.difference.p if m else float("nan") for s, m in found if s.primary}
+    p = {s.id: m.difference.p if m and plain[s.id] != "untested" else math.nan for s, m in found if s.primary}
     adjusted = rules.holm(p)
     judged = []
     for statement, measured in found:
         verdict: Verdict = plain[statement.id]
         if statement.primary:
             verdict = rules.adjusted(verdict, adjusted[statement.id])
-        small = measured is not None and rules.small(verdict, measured.difference, statement.margin)
-        level = adjusted.get(statement.id, measured.difference.p if measured else float("nan"))
+        small = (
+            measured is not None
+            and statement.kind in ("less", "more")
+            and rules.small(verdict, measured.difference, statement.margin)
+        )
+        level = adjusted.get(statement.id, measured.difference.p if measured else math.nan)
         judged.append(Judged(statement, measured, plain[statement.id], verdict, level, small))
     return judged

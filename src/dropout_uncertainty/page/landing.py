@@ -1,16 +1,16 @@
-"""What a reader sees first: ten numbers, three pictures and some findings, all made from the records.
+"""What a reader sees first: nine statements, three pictures and some findings, all made from the records.
 
 The landing page computes numbers and findings whenever the book is built. The README is static text and the pictures
 are files: ``dropout-uncertainty front`` writes them again, and a test holds them to the records.
 """
 
 import base64
+import functools
 import io
 import itertools
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -29,13 +29,14 @@ from dropout_uncertainty.exploration.foraging import drawing
 from dropout_uncertainty.exploration.foraging import world as w
 from dropout_uncertainty.exploration.report import analysis as exploration
 from dropout_uncertainty.exploration.report import animation
-from dropout_uncertainty.judging.collect import collect
+from dropout_uncertainty.judging.collect import SECTIONS, STATEMENTS, collect
 from dropout_uncertainty.judging.results import Result, thesis_value
+from dropout_uncertainty.judging.statements import KINDS, Statement, StatementResult, judge
 from dropout_uncertainty.page.plotting import COLOURS
 from dropout_uncertainty.runs.records import Record, root
 from dropout_uncertainty.stats import Interval, t_interval
 
-__all__ = ["FACTS", "HEADLINES", "PICTURES", "Headline", "facts", "numbers", "readme", "tally", "write"]
+__all__ = ["FACTS", "PICTURES", "SAID", "facts", "numbers", "readme", "tally", "write"]
 
 README, FOLDER = Path("README.md"), Path("book", "_static", "front")
 #: Where the numbers stand in the README.
@@ -43,76 +44,52 @@ BEGIN, END = "<!-- numbers: written by `dropout-uncertainty front` -->", "<!-- e
 CHAPTERS = {"5.2": "5_2_active_learning", "5.3": "5_3_exploration", "5.4": "5_4_data_efficiency"}
 
 
-# ------------------------------------------------------------------ ten numbers
-
-
-@dataclass(frozen=True)
-class Headline:
-    """A number that stands for the chapter: its section, what it is, and its id among the results."""
-
-    section: str
-    what: str
-    id: str
-
-
-#: What the text of the thesis itself puts forward, and the one deterministic competitor that can choose.
-HEADLINES: tuple[Headline, ...] = (
-    Headline("5.2", "test error [%] with 1000 labels chosen at random", "table-5.1/random"),
-    Headline("5.2", "… chosen by the entropy of one deterministic pass", "table-5.1/softmax/max-entropy"),
-    Headline("5.2", "… chosen by the entropy over weight draws", "table-5.1/dropout/max-entropy"),
-    Headline("5.2", "… chosen by BALD over weight draws", "table-5.1/dropout/bald"),
-    Headline("5.2", "rounds of ten labels until 5 % error, at random", "table-5.2/random"),
-    Headline("5.2", "… by BALD over weight draws", "table-5.2/dropout/bald"),
-    Headline("5.3", "batches of 500 moves until reward 1, Thompson sampling", "figure-5.4/thompson/first-crossing"),
-    Headline("5.3", "… ε-greedy", "figure-5.4/epsilon-greedy/first-crossing"),
-    Headline("5.4", "trials until half of the runs have balanced the pole, PILCO", "figure-5.7/pilco/trials-to-solve"),
-    Headline("5.4", "… Deep PILCO", "figure-5.7/deep-pilco/trials-to-solve"),
-)
+# ------------------------------------------------------------------ nine statements
 
 
 def numbers(found: Iterable[Result] | None = None, link: str = "{}.ipynb") -> tuple[list[str], list[list[str]]]:
-    """Return heads and rows of the ten numbers beside the thesis's.
+    """Return heads and rows of the primary statements.
 
     Args:
         found: the results to look in; by default all that the stored records give.
         link: where a chapter is, with ``{}`` for its name.
     """
     results = {result.id: result for result in (collect() if found is None else found)}
-    heads = ["section", "what", "thesis", "ours [95 % interval]", "repetitions", "verdict"]
-    return heads, [_row(headline, results.get(headline.id), link) for headline in HEADLINES]
+    primary = [s for s in STATEMENTS.values() if s.primary]
+    heads = ["section", "statement", "verdict", "difference [95 % interval]", "repetitions"]
+    return heads, [_row(s, results.get(f"statement/{s.id}"), link) for s in primary]
 
 
-def _row(headline: Headline, result: Result | None, link: str) -> list[str]:
-    printed = thesis_value(headline.id)
-    thesis = "–" if printed is None else f"{printed:g}"
-    section = f"[{headline.section}]({link.format(CHAPTERS[headline.section])})"
-    if result is None or not result.seeds:
-        return [section, headline.what, thesis, "no records yet", "0", "undecided"]
-    repetitions, verdict = str(len(result.seeds)), result.verdict or "undecided"
-    return [section, headline.what, thesis, _ours(result), repetitions, verdict]
+def _row(statement: Statement, result: Result | None, link: str) -> list[str]:
+    title = SECTIONS[statement.id[:2]].split()[0]
+    section = f"[{title}]({link.format(CHAPTERS[title])})"
+    if not isinstance(result, StatementResult):
+        return [section, statement.text, f"**untested**: {statement.would_test}", "–", "0"]
+    open_still = f": {result.why}" if result.verdict == "untested" else ""
+    return [section, statement.text, f"**{result.verdict}**{open_still}", _ours(result), str(result.n)]
 
 
 def _ours(result: Result) -> str:
-    """Return our value with its interval; an end that was never reached is open."""
+    """Return our value with its interval and unit; an end that was never reached is open."""
     if result.ours is None:
-        return "not reached"
-    if result.low is None and result.high is None:
-        return f"{result.ours:.3g}"
-    low, high = ("…" if end is None else f"{end:.3g}" for end in (result.low, result.high))
-    return f"{result.ours:.3g} [{low}, {high}]"
+        return "–"
+    low, high = ("…" if end is None else f"{end:.2g}" for end in (result.low, result.high))
+    return f"{result.ours:.2g} [{low}, {high}] {result.unit}".replace("-", "−")
 
 
 def tally(found: Iterable[Result] | None = None) -> str:
-    """Return how many claims of the chapter have which verdict, as one sentence."""
-    results = collect() if found is None else list(found)
-    verdicts = [result.verdict for result in results if result.id.startswith("claim/")]
-    counts = {verdict: verdicts.count(verdict) for verdict in ("replicated", "partly", "not replicated", "undecided")}
-    parts = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
-    return f"Of {len(verdicts)} claims of the chapter: {parts}."
+    """Return how many statements of each kind have which verdict, as one sentence."""
+    results = [r for r in (collect() if found is None else found) if isinstance(r, StatementResult)]
+    parts = []
+    for words, (kinds, possible) in KINDS.items():
+        verdicts = [result.verdict for result in results if result.kind in kinds]
+        counts = ", ".join(f"{verdicts.count(v)} {v}" for v in possible if v in verdicts)
+        parts += [f"{len(verdicts)} {words} ({counts})"] if verdicts else []
+    return f"Of all statements: {'; '.join(parts)}."
 
 
 def readme(text: str, found: Iterable[Result] | None = None) -> str:
-    """Return the README's text with the ten numbers between its marks written anew.
+    """Return the README's text with the nine statements between its marks written anew.
 
     Raises:
         ValueError: if the marks are missing.
@@ -221,6 +198,14 @@ def _words(interval: Interval, digits: int = 2) -> str:
     return what_matters.words(interval, digits).replace("-", "−")
 
 
+def _verdict(identifier: str, folder: Path | None) -> str | None:
+    """Return the verdict of a statement that is not a primary one; None while it is untested."""
+    (judged,) = judge([STATEMENTS[identifier]], folder)
+    return None if judged.verdict == "untested" else judged.verdict
+
+
+#: The statements whose verdicts the sentences of the first page give.
+SAID = ("AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "EX3a", "EX3e", "EX4", "DE2d", "DE3h", "DE6b", "DE6c", "DE7b", "DE11a")
 #: The numbers by name; each is computed from the records of a folder.
 FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "tied": _tied,
@@ -245,6 +230,7 @@ FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "no_dropout_trials": lambda folder: _no_dropout("trials_difference", 1, folder),
     "no_dropout_cost": lambda folder: _no_dropout("cost_difference", 2, folder),
     "doubt": _doubt,
+    **{name: functools.partial(_verdict, name) for name in SAID},
 }
 
 

@@ -1,87 +1,260 @@
-"""What the scoreboard shows: verdicts with one sentence each, what stands behind them, what records and pages took."""
+"""What the scoreboard shows: every statement with its verdict and what it rests on, and what records and pages took."""
 
+import hashlib
+import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
 from itertools import groupby
-from pathlib import Path
 from typing import Any, get_args
+
+import numpy as np
+from matplotlib.axes import Axes
 
 from dropout_uncertainty import folders
 from dropout_uncertainty.judging.collect import SECTIONS
-from dropout_uncertainty.judging.results import MIN_REPETITIONS, Claim, Judgement, Verdict
-from dropout_uncertainty.page.tables import command
+from dropout_uncertainty.judging.rules import Verdict
+from dropout_uncertainty.judging.statements import KINDS, Judged, Statement
+from dropout_uncertainty.page.tables import Table, command
+from dropout_uncertainty.runs import records as stored
 from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.stats import Interval
 
-__all__ = ["VERDICTS", "behind", "costs", "how_long", "run_times", "sentence", "tally", "verdicts"]
+__all__ = [
+    "VERDICTS", "Board", "at_a_glance", "costs", "how_long", "run_times", "since_version_1", "tally", "verdicts",
+]  # fmt: skip
 
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
-
+#: Colours by verdict: for the thesis, against it, neither.
+COLOURS = {
+    **dict.fromkeys(("agrees", "supported", "confirmed"), "#0072b2"),
+    **dict.fromkeys(("differs", "contradicted", "refuted"), "#d55e00"),
+    "no difference": "#cc79a7",
+}
+GREY = "#888888"
 Cells = tuple[list[str], list[list[Any]]]
 
 
-def tally(judged: Sequence[Judgement]) -> Cells:
-    """Return how many claims of each section have which verdict, as heads and rows of a table."""
+# ------------------------------------------------------------------ verdicts
+
+
+def tally(judged: Sequence[Judged]) -> Cells:
+    """Return how many statements of each section and kind have which verdict, as heads and rows of a table."""
     rows = []
     for letters, title in [*SECTIONS.items(), ("", "all")]:
-        counts = Counter(j.verdict for j in judged if j.claim.id.startswith(letters))
-        rows.append([title, *(counts[verdict] for verdict in VERDICTS), counts.total()])
-    return ["section", *VERDICTS, "claims"], rows
+        for words, (kinds, possible) in KINDS.items():
+            counts: Counter[str] = Counter(
+                j.verdict for j in judged if j.statement.id.startswith(letters) and j.statement.kind in kinds
+            )
+            if counts:
+                said = ", ".join(f"{counts[verdict]} {verdict}" for verdict in possible if counts[verdict])
+                rows.append([title, words, counts.total(), said])
+    return ["section", "kind", "statements", "verdicts"], rows
 
 
-def verdicts(judged: Sequence[Judgement]) -> Cells:
-    """Return one row per claim: id, text, where it stands, verdict and why."""
-    heads = ["", "claim", "where", "verdict", "because"]
-    return heads, [[j.claim.id, j.claim.text, _where(j.claim), f"**{j.verdict}**", sentence(j)] for j in judged]
+def number(value: float) -> str:
+    """Return a number of three digits; what was not reached is said."""
+    return "not reached" if math.isinf(value) else f"{value:.3g}".replace("-", "−")
 
 
-def sentence(judgement: Judgement) -> str:
-    """Return why a claim has its verdict: its parts if they are few, else how many of them came out how."""
-    parts = judgement.parts
-    if not any(part.interval.n for part in parts):
-        return "No records yet."
-    if len(parts) <= 2:
-        return judgement.sentence
-    counts = Counter(part.verdict for part in parts)
-    text = f"{len(parts)} parts: " + ", ".join(f"{counts[v]} {v}" for v in VERDICTS if counts[v])
-    missing = sum(part.interval.n == 0 for part in parts)
-    few = sum(0 < part.interval.n < MIN_REPETITIONS for part in parts)
-    reasons = [f"no records yet for {missing}"] * (missing > 0)
-    reasons += [f"fewer than {MIN_REPETITIONS} repetitions for {few}"] * (few > 0)
-    return text + (f" ({'; '.join(reasons)})." if reasons else ".")
+def ours(interval: Interval) -> str:
+    """Return a value with its interval, where it has one."""
+    limits = "" if math.isnan(interval.low) else f" [{number(interval.low)}, {number(interval.high)}]"
+    return number(interval.value) + limits
 
 
-def behind(judged: Sequence[Judgement]) -> str:
-    """Return Markdown: for each claim its rule, all its parts, its record files and the commands that make them."""
-    return "\n\n".join(map(_behind, judged))
+def measured(judged: Judged) -> str | None:
+    """Return our value in words with its unit; None where nothing was measured."""
+    if judged.measured is None:
+        return None
+    if judged.statement.kind == "audit" and not judged.measured.ours.n:
+        return "evidence in the repository"
+    return f"{ours(judged.measured.ours)} {judged.statement.unit}".strip()
 
 
-def _behind(judgement: Judgement) -> str:
-    claim, found = judgement.claim, judgement.records
-    parts = "\n".join(f"- {part} (*{part.verdict}*)" for part in judgement.parts)
-    text = f"**{claim.id}** is judged by: {claim.rule}.\n\n{parts}"
+def said(judged: Judged) -> str:
+    """Return the verdict in words: that of a primary statement adjusted, and why where that needs saying."""
+    both = judged.verdict if judged.plain == judged.verdict else f"{judged.verdict} (by itself {judged.plain})"
+    return f"**{both}**" + (f"; {judged.why}" if judged.why else "")
+
+
+def verdicts(judged: Iterable[Judged]) -> Table:
+    """Return the statements at the end of a chapter, grouped under the places of the thesis that they come from."""
+    rows: list[list[Any]] = []
+    for place, group in groupby(judged, lambda j: j.statement.where):
+        for first, j in enumerate(group):
+            star = " (primary)" if j.statement.primary else ""
+            beside = "".join(f"; {words}: {ours(interval)}" for words, interval in beside_of(j).items())
+            value = measured(j)
+            shown = None if value is None else value + beside
+            rows.append([None if first else place, j.statement.id, j.statement.text + star, shown, said(j)])
+    return Table(
+        [["" if cell is None and not column else cell for column, cell in enumerate(row)] for row in rows],
+        ["of the thesis", "", "statement", "ours [95 % interval]", "verdict"],
+    )
+
+
+def beside_of(judged: Judged) -> Mapping[str, Interval]:
+    """Return what is shown beside the judged value."""
+    return judged.measured.beside if judged.measured else {}
+
+
+# ------------------------------------------------------------------ the board
+
+SHEET = """
+#{name} fieldset {{ border: 0; margin: 0 0 0.5rem; padding: 0; display: flex; flex-wrap: wrap; gap: 0 1.2rem; }}
+#{name} legend {{ font-size: inherit; margin: 0; }}
+#{name} label {{ display: inline-flex; align-items: center; gap: 0.4rem; min-height: 1.75rem; cursor: pointer; }}
+#{name} details {{ font-size: 0.85em; overflow-wrap: anywhere; }}
+"""
+HIDE = "#{name}:has(input[value='{verdict}']:checked) tbody tr:not([data-verdict='{verdict}']) {{ display: none; }}\n"
+CHOICE = '<label><input type="radio" name="{name}" value="{verdict}"{checked}> {verdict} ({count})</label>'
+HEADS = [
+    "",
+    "statement",
+    "thesis",
+    "ours [95 % interval]",
+    "margin",
+    "repetitions",
+    "by itself",
+    "adjusted",
+    "rests on",
+]
+
+
+class Board:
+    """Statements as a table from which a reader picks one verdict; style sheets do it, no script."""
+
+    def __init__(self, judged: Sequence[Judged]) -> None:
+        self.judged = judged
+
+    def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, str]:
+        return {
+            "text/html": self.html(),
+            "text/plain": "\n".join(f"{j.statement.id}: {j.verdict}" for j in self.judged),
+        }
+
+    def html(self) -> str:
+        """Return choices and table; one choice per verdict that occurs."""
+        rows = "\n".join(map(_row, self.judged))
+        name = "board-" + hashlib.sha256(rows.encode()).hexdigest()[:8]
+        counts = Counter(j.verdict for j in self.judged)
+        present = [verdict for verdict in VERDICTS if counts[verdict]]
+        hide = "".join(HIDE.format(name=name, verdict=verdict) for verdict in present)
+        choices = [CHOICE.format(name=name, verdict="all", checked=" checked", count=len(self.judged))]
+        choices += [CHOICE.format(name=name, verdict=v, checked="", count=counts[v]) for v in present]
+        heads = "".join(f"<th>{head}</th>" for head in HEADS)
+        return (
+            f'<div id="{name}"><style>{SHEET.format(name=name)}{hide}</style>\n'
+            f"<fieldset><legend>Show</legend>{''.join(choices)}</fieldset>\n"
+            f'<table class="table"><thead><tr>{heads}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>'
+        )
+
+
+def _row(judged: Judged) -> str:
+    """Return a statement as a row of the board."""
+    s, m = judged.statement, judged.measured
+    mark = " (primary)" if s.primary else ""
+    thesis = "" if s.thesis is None else number(s.thesis)
+    margin = f"{s.margin:.2g} {s.unit}" if s.margin else ""
+    why = f"<br><small>{escape(judged.why)}</small>" if judged.why else ""
+    cells = [
+        f'<span id="{s.id}">{s.id}</span>', f"{escape(s.text)}{mark}<br><small>{_where(s)}</small>", thesis,
+        escape(measured(judged) or "–"), margin, str(m.difference.n) if m and m.difference.n else "–",
+        judged.plain, f"<strong>{judged.verdict}</strong>{why}", _sources(judged),
+    ]  # fmt: skip
+    return f'<tr data-verdict="{judged.verdict}">' + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
+
+
+def _sources(judged: Judged) -> str:
+    """Return the record files of a statement and the commands that make them, folded away."""
+    found = judged.sources
     if not found:
-        return text
-    files = ", ".join(f"[{record.label}](../records/{record.label})" for record in found)
+        return "–"
     groups = [list(group) for _, group in groupby(found, lambda record: record.label.rsplit("/", 1)[0])]
-    commands = "\n".join(f"$ {command(group)}" for group in groups)
-    return f"{text}\n\nRecords: {files}\n\n```console\n{commands}\n```"
+    commands = "<br>".join(f"<code>{escape(command(group))}</code>" for group in groups)
+    files = ", ".join(escape(record.label) for record in found)
+    return f"<details><summary>{len(found)} records</summary>{files}<br>{commands}</details>"
 
 
-def _where(claim: Claim) -> str:
-    """Return the place in the thesis, with links to figures and tables of the book, and the chapter."""
+def _where(statement: Statement) -> str:
+    """Return the place in the thesis, with a link to the chapter of the book if there is one."""
     clone = folders.checkout()
-    notebook = (clone or Path()) / "notebooks" / f"{claim.chapter}.ipynb"
-    if clone is None or not notebook.exists():
-        return claim.where
-    labels = set(re.findall(r"\b(?:fig|tab)-5-\d+\b", notebook.read_text(encoding="utf-8")))
+    if clone is None or not (clone / "notebooks" / f"{statement.chapter}.ipynb").exists():
+        return escape(statement.where)
+    text = (clone / "notebooks" / f"{statement.chapter}.ipynb").read_text(encoding="utf-8")
+    found = re.search(r"(Figure|Table) 5\.(\d+)", statement.where)
+    label = f"{found[1][:3].lower()}-5-{found[2]}" if found else ""
+    anchor = f"#{label}" if found and f'"{label}"' in text else ""
+    return f'<a href="{statement.chapter}.ipynb{anchor}">{escape(statement.where)}</a>'
 
-    def link(match: re.Match) -> str:
-        label = f"{match[1][:3].lower()}-5-{match[2]}"
-        return f"[{match[0]}](#{label})" if label in labels else match[0]
 
-    place = re.sub(r"(Figure|Table) 5\.(\d+)", link, claim.where)
-    return f"{place} ([chapter]({claim.chapter}.ipynb))"
+def at_a_glance(ax: Axes, judged: Sequence[Judged], reach: float = 5.0) -> Axes:
+    """Draw all measured statements: interval by margin, what the thesis says at 0.
+
+    A comparison is turned so that the claimed side is right; ends beyond ``reach`` margins are cut off.
+    """
+    shown = [(j, j.measured.difference) for j in judged if j.statement.margin and j.measured and j.plain != "untested"]
+    ax.axvspan(-1, 1, color="#eeeeee")
+    ax.axvline(0, color="black", linewidth=0.8)
+    for place, (j, difference) in enumerate(shown):
+        sign = -1 if j.statement.kind == "less" else 1
+        value, *ends = np.clip([sign * x / j.statement.margin for x in difference[:3]], -reach, reach)
+        colour = COLOURS.get(j.verdict, GREY)
+        ax.plot(ends, [place, place], color=colour, linewidth=1.5)
+        ax.plot(value, place, "D" if j.statement.primary else "o", color=colour, markersize=4)
+    ax.set_yticks(range(len(shown)), [j.statement.id for j, _ in shown], fontsize=7)
+    ax.set(ylim=(len(shown), -1), xlim=(-reach, reach), xlabel="difference from what is said, in margins")
+    return ax
+
+
+# ------------------------------------------------------------------ version 1
+
+#: What changed between the versions, claim by claim.
+CHANGED = {
+    "AL1": "printed minima were compared with last points",
+    "AL2": "only our runs varied; the three curves behind the printed number did not",
+    "AL3": "early and late were one bundle; the fair comparison, the same score without draws, was missing",
+    "AL4": "a reversal counted as partly replicated",
+    "AL5": "six comparisons were one bundle",
+    "AL6": "any ratio below 1 counted as far fewer",
+    "AL7": "our finding, now an audit; not finding a difference to Random had counted as support",
+    "AL8": "our finding, now an audit",
+    "AL9": "all labels were one range; not finding a difference had counted as support",
+    "EX1": "the claim is about runs within 25 batches; an interval that holds 25 is not that",
+    "EX2": "ratio and times were one bundle, and a wide interval helped",
+    "EX3": "not finding a gain had counted as support; there is a margin now",
+    "EX4": "a fact about the program, now an audit; a number of repetitions had been made up for it",
+    "EX5": "four comparisons were one bundle",
+    "EX6": "a sign had decided where the interval held 0",
+    "DE1": "a range was judged by its middle",
+    "DE2": "a range was judged by its middle; two settings were one bundle",
+    "DE3": "four panels of two settings were one bundle",
+    "DE4": "judged by the share that solves; now by the cost of learning",
+    "DE5": "four quantities were one bundle",
+    "DE6": "a shown absence of a difference was called partly",
+    "DE7": "judged by trials to solve, of which ten repetitions see too little; now by the cost of learning",
+    "DE8": "six exponents were one bundle",
+    "DE9": "printed trials of other plants were held against ours",
+    "DE10": "success of most repetitions had counted as no need to tune; now the cost has to be equal",
+    "DE11": "two quantities were one bundle",
+}
+
+
+def since_version_1(judged: Sequence[Judged]) -> Cells:
+    """Return the verdict of each claim in version 1 (``records/verdicts-v1.csv``) beside those of its statements."""
+    rows = []
+    for row in stored.table("verdicts-v1"):
+        if not row["part"]:
+            mine = [j for j in judged if re.fullmatch(rf"{row['id']}[a-z]?", j.statement.id)]
+            now = Counter(j.verdict for j in mine)
+            said_now = ", ".join(f"{now[verdict]} {verdict}" for verdict in VERDICTS if now[verdict])
+            rows.append([row["id"], row["sentence"], row["verdict"], said_now, CHANGED[row["id"]]])
+    return ["", "claim of version 1", "then", "its statements now", "what changed"], rows
+
+
+# ------------------------------------------------------------------ what it took
 
 
 def costs(found: Sequence[Record]) -> Cells:

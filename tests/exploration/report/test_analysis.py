@@ -6,7 +6,8 @@ import pytest
 
 from dropout_uncertainty.exploration.experiment import CONFIGS
 from dropout_uncertainty.exploration.report import analysis, figures
-from dropout_uncertainty.judging.collect import CLAIMS
+from dropout_uncertainty.judging.collect import STATEMENTS
+from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.runs import records
 
 RUNS = 10
@@ -147,39 +148,6 @@ def test_development_seeds_do_not_count(tmp_path):
     assert len(analysis.load("narrow", tmp_path, published=False)["epsilon-greedy"].seeds) == 3
 
 
-@pytest.mark.parametrize("claim", ["EX5", "EX6"])
-def test_claims_that_hold_are_replicated(tmp_path, claim):
-    judgement = CLAIMS[claim].judge(world(tmp_path))
-    assert judgement.verdict == "replicated", judgement.sentence
-    assert judgement.records
-
-
-@pytest.mark.parametrize(
-    ("claim", "changes"),
-    [
-        ("EX1", {"ours-thompson": [(0.9, 4_000)], "as-demo": [(0.9, 4_000), (1.03, 20_600)]}),
-        ("EX5", {"ours-boltzmann": [(0.8, 9_000)], "ours-annealed-thompson": [(0.8, 9_000)]}),
-    ],
-)
-def test_claims_that_fail_are_not(tmp_path, claim, changes):
-    judgement = CLAIMS[claim].judge(world(tmp_path, **changes))
-    assert judgement.verdict == "not replicated", judgement.sentence
-
-
-def test_claims_with_parts_say_which_part_holds(tmp_path):
-    parts = {part.what: part.verdict for part in CLAIMS["EX3"].judge(world(tmp_path)).parts}
-    assert parts["moves not the best, Thompson - ε-greedy"] == "replicated"
-    assert parts["moves not the best, ε-greedy"] == "replicated"
-    ratio = {part.what: part.verdict for part in CLAIMS["EX4"].judge(tmp_path).parts}
-    assert ratio["weight layers with dropout in the program (thesis 3)"] == "not replicated"
-
-
-def test_no_records_decide_nothing(tmp_path):
-    judged = [claim.judge(tmp_path) for name, claim in CLAIMS.items() if name.startswith("EX")]
-    assert len(judged) == 6
-    assert {judgement.verdict for judgement in judged} == {"undecided"}
-
-
 def test_quick_runs_are_checked_against_their_bands():
     far, near = np.full((2, 20), 0.8), np.full((2, 20), 0.6)
     analysis.check_quick({"thompson": curves(far), "epsilon-greedy": curves(near, "epsilon-greedy")})
@@ -242,3 +210,19 @@ def test_a_second_record_adds_its_seeds_and_comparisons_pair_by_seed(tmp_path):
     assert high < 1.2
     crossing = next(r for r in analysis.results(tmp_path) if r.id == "figure-5.4/greedy/first-crossing")
     assert crossing.seeds == [0, 1, 2, 7, 9]
+
+
+def verdicts(folder, *names):
+    return [judge([STATEMENTS[name]], folder)[0].verdict for name in names]
+
+
+def test_what_holds_is_supported_and_what_fails_contradicted(tmp_path):
+    assert verdicts(world(tmp_path / "1"), "EX5a", "EX5b", "EX5c", "EX5d", "EX6c") == ["supported"] * 5
+    slow = {"ours-boltzmann": [(0.8, 9_000)], "ours-annealed-thompson": [(0.8, 9_000)]}
+    assert verdicts(world(tmp_path / "2", **slow), "EX5b", "EX5d") == ["contradicted"] * 2
+    late = {"ours-thompson": [(0.9, 4_000)], "as-demo": [(0.9, 4_000), (1.03, 20_600)]}
+    assert verdicts(world(tmp_path / "3", **late), "EX1a", "EX1c") == ["contradicted"] * 2
+
+
+def test_where_dropout_stands_needs_no_runs(tmp_path):
+    assert verdicts(tmp_path, "EX4", "EX5a") == ["refuted", "untested"]

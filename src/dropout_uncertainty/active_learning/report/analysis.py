@@ -196,7 +196,7 @@ def results(folder: Path | None = None) -> list[Result]:
 
 
 def _row_results(row: Row, suffix: str) -> list[Result]:
-    """Return the statistics of one row in both tables; only the plain ones of config "ours" are judged."""
+    """Return the statistics of one row in both tables."""
     error, steps = f"table-5.1/{row.name}", f"table-5.2/{row.name}"
     statistics = [
         (error, "", row.last, "%", f"test error at {row.labels[-1]} labels"),
@@ -213,7 +213,6 @@ def _row_results(row: Row, suffix: str) -> list[Result]:
             statistic=statistic,
             config=row.config,
             thesis=identifier,
-            judge=not suffix and not kind,
         )
         for identifier, kind, interval, unit, statistic in statistics
     ]

@@ -1,270 +1,283 @@
-"""Claims AL1-AL9 of section 5.2 as code: quantity, rule, verdict. The rules were fixed before the published runs."""
+"""The statements of section 5.2: what the thesis says of tables and curves, and how our runs are held against it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import partial
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
+from dropout_uncertainty.active_learning.experiment import CONFIGS
+from dropout_uncertainty.active_learning.report import pools
 from dropout_uncertainty.active_learning.report.analysis import (
     EARLY,
     END,
     LABELS,
+    THRESHOLD,
     Row,
     load_rows,
     original_rows,
-    paired_error,
     share_tied,
 )
-from dropout_uncertainty.judging.results import (
-    MIN_REPETITIONS,
-    Claim,
-    Part,
-    Sign,
-    Verdict,
-    direction,
-    missing,
-    same_value,
-    thesis_value,
-)
-from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, bootstrap_interval, first_crossing, t_interval
+from dropout_uncertainty.judging.results import printed
+from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, shifted
+from dropout_uncertainty.stats import Interval, bootstrap_estimate, first_crossing, mean_estimate
 
-__all__ = ["CLAIMS"]
+__all__ = ["STATEMENTS"]
 
-#: Acquired points from where the curves part to the last.
-ALL = (100, 980)
-NAMES = {"max-entropy": "Max Entropy", "variation-ratios": "Variation Ratios", "bald": "BALD"}
+TABLES, POOLS = "5_2_active_learning", "5_2_when_draws_help"
+#: Margins in points of test error: over 100-400 acquired points, at the end, and in the pools over 100-300.
+MARGIN, MARGIN_END, MARGIN_POOLS = 0.5, 0.25, 1.0
+#: Cells of the tables in the order of their statements, and the scores that both kinds of networks can be given.
+CELLS = [
+    "random", "softmax/max-entropy", "softmax/variation-ratios", "softmax/bald",
+    "dropout/max-entropy", "dropout/variation-ratios", "dropout/bald",
+]  # fmt: skip
+SCORES = {"bald": "BALD", "variation-ratios": "Variation Ratios", "max-entropy": "Max Entropy"}
 
-Parts = tuple[list[Part], list[Record]]
+Ours = Callable[[Row], float]
 
 
-def claim(identifier: str, where: str, text: str, rule: str) -> Callable[[Callable[["UsedRows"], list[Part]]], Claim]:
-    """Turn a function from the rows of config "ours" to parts into a claim; rows it asks for may be missing."""
-
-    def decorate(function: Callable[["UsedRows"], list[Part]]) -> Claim:
-        def measure(folder: Path | None) -> Parts:
-            rows = load_rows("ours", folder)
-            used = UsedRows(rows)
-            return function(used), [record for name in used.used for record in rows[name].records]
-
-        return Claim(identifier, text, where, rule, "5_2_active_learning", measure)
-
-    return decorate
+# ------------------------------------------------------------------ printed values
 
 
-class UsedRows(dict[str, Row]):
-    """The rows, remembering which were asked for; the records of those stand behind the verdict."""
-
-    def __init__(self, rows: Mapping[str, Row]) -> None:
-        super().__init__(rows)
-        self.used: list[str] = []
-
-    def having(self, *names: str) -> bool:
-        """Return whether all the named rows exist, and note them."""
-        if all(name in self for name in names):
-            self.used += [name for name in names if name not in self.used]
-            return True
-        return False
+def lowest(curves: Float[np.ndarray, "R T"]) -> float:
+    """Return the minimum of the mean curve of three repetitions, mean over all triples: noise lowers a minimum."""
+    triples = np.array(list(combinations(range(len(curves)), 3)))
+    return float(curves[triples].mean(1).min(1).mean())
 
 
-def difference(
-    rows: UsedRows, first: str, second: str, acquired: tuple[int, int], what: str, expected: Sign
-) -> list[Part]:
-    """Return the part "test error of first minus second over a range of acquired points"."""
-    if not rows.having(first, second):
-        return [missing(what)]
-    interval = paired_error(rows[first], rows[second], *acquired)
-    return [Part(what, interval, "points", direction(interval, expected=expected))]
+def crossing(curves: Float[np.ndarray, "R T"]) -> float:
+    """Return the acquisitions until the mean curve is at 5 %; one more than there are if it never is."""
+    return min(first_crossing(curves.mean(0), THRESHOLD), float(curves.shape[1]))
 
 
-def same(rows: UsedRows, table: str, quantity: Callable[[Row], Interval], unit: str) -> list[Part]:
-    """Return one part for each cell that the table prints and we have."""
-    parts = []
-    for name, label in LABELS.items():
-        printed = thesis_value(f"{table}/{name}")
-        if printed is None:
-            continue
-        if not rows.having(name):
-            parts.append(missing(label))
-        else:
-            interval = quantity(rows[name])
-            parts.append(
-                Part(f"{rows[name].label} (thesis {printed:g})", interval, unit, same_value(interval, printed))
-            )
-    return parts
+def cell(name: str, table: str, folder: Path | None) -> Measured | None:
+    """Return a cell of Table 5.1 or 5.2: our statistic less that of the original program's curves, both resampled."""
+    row = load_rows("ours", folder).get(name)
+    if row is None or len(row.error) < 3:
+        return None
+    statistic = lowest if table == "table-5.1" else crossing
+    theirs = original_rows()[name].error
+    difference = bootstrap_estimate(
+        lambda i, j: statistic(row.error[i]) - statistic(theirs[j]), len(row.error), len(theirs)
+    )._replace(n=len(row.error))
+    ours = bootstrap_estimate(lambda i: statistic(row.error[i]), len(row.error)).interval
+    beside = {"last point": row.last} if table == "table-5.1" else {"after a median of five": row.crossing(width=5)}
+    if script := load_rows("as-recorded", folder).get(name):
+        beside["as its script ran it"] = script.minimum if table == "table-5.1" else script.crossing()
+    return Measured(difference, ours, row.records, beside)
 
 
-@claim(
-    "AL1", "Table 5.1",
-    "Test error at 1000 labels: 4.57 % for Random, 2.18, 4.02 and 3.83 % for Softmax Max Entropy, Variation Ratios and "
-    "BALD, 1.74, 1.64 and 1.72 % for their Dropout versions.",
-    "cell by cell, at the last point: the printed value lies in our 95 % interval",
-)  # fmt: skip
-def al1(rows: UsedRows) -> list[Part]:
-    return same(rows, "table-5.1", lambda row: row.last, "%")
+def of_table(identifier: str, table: str, name: str) -> Statement:
+    """Return the statement that a cell of a table makes."""
+    value = printed(f"{table}/{name}")
+    what = (
+        f"{LABELS[name]}: test error {value:g} % with 1000 labels"
+        if table == "table-5.1"
+        else f"{LABELS[name]}: {value:g} acquisitions to a test error of 5 %"
+    )
+    return Statement(
+        identifier, f"{what}.", f"Table {table[-3:]}", "value", NEAR * value, TABLES, partial(cell, name, table),
+        unit="%" if table == "table-5.1" else "acquisitions", thesis=value,
+    )  # fmt: skip
 
 
-@claim(
-    "AL2", "Table 5.2",
-    "Acquisitions until a test error of 5 %: 90 for Random; 53, 76 and 68 for Softmax Max Entropy, Variation Ratios "
-    "and BALD; 35, 32 and 36 for their Dropout versions.",
-    "cell by cell, plain first crossing of the mean curve: the printed value lies in our 95 % interval",
-)  # fmt: skip
-def al2(rows: UsedRows) -> list[Part]:
-    return same(rows, "table-5.2", lambda row: row.crossing(), "acquisitions")
+# ------------------------------------------------------------------ comparisons
 
 
-@claim(
-    "AL3", "Figure 5.1",
-    "BALD and Variation Ratios computed with MC dropout have a lower test error than their Softmax versions, early on "
-    "and at the end.",
-    "paired difference Dropout - Softmax is negative, over 100-400 and over 960-980 acquired points",
-)  # fmt: skip
-def al3(rows: UsedRows) -> list[Part]:
-    return [
-        part
-        for name in ("bald", "variation-ratios")
-        for when, acquired in (("early", EARLY), ("end", END))
-        for part in difference(
-            rows, f"dropout/{name}", f"softmax/{name}", acquired, f"Dropout - Softmax {NAMES[name]}, {when}", "negative"
+def means(row: Row, acquired: tuple[int, int], name: str = "error") -> dict[int, float]:
+    """Return the mean test error of each seed over a range of acquired points, both ends included."""
+    points = row.labels - row.labels[0]
+    wanted = (points >= acquired[0]) & (points <= acquired[1])
+    values = row.error if name == "error" else row.stack(name)
+    return dict(zip(row.seeds, values[:, wanted].mean(1), strict=True))
+
+
+def curves(
+    first: str, second: str, acquired: tuple[int, int], folder: Path | None, family: str = "ours"
+) -> Measured | None:
+    """Return the test error of one row less that of another, paired by seed."""
+    rows = load_rows(family, folder)
+    if not {first, second} <= rows.keys():
+        return None
+    one, two = (means(rows[name], acquired) for name in (first, second))
+    difference = mean_estimate([one[seed] - two[seed] for seed in one if seed in two])
+    return Measured(difference, difference.interval, [*rows[first].records, *rows[second].records])
+
+
+def compared(
+    identifier: str, text: str, where: str, kind: Kind, first: str, second: str,
+    acquired: tuple[int, int] = EARLY, *, primary: bool = False,
+) -> Statement:  # fmt: skip
+    """Return a statement about two rows of the tables."""
+    margin = MARGIN_END if acquired == END else MARGIN
+    return Statement(
+        identifier, text, where, kind, margin, TABLES, partial(curves, first, second, acquired),
+        unit="points", primary=primary,
+    )  # fmt: skip
+
+
+def in_pool(
+    identifier: str, text: str, where: str, kind: Kind, pool: str, first: str, second: str, *, primary: bool = False
+) -> Statement:
+    """Return a statement about two rows on one of the pools of "When do weight draws help?"."""
+    measure = partial(curves, first, second, pools.RANGE, family=f"pools/{pool}")
+    return Statement(
+        identifier, text, where, kind, MARGIN_POOLS, POOLS, measure, unit="points", primary=primary,
+        would_test=f"20 runs of both rows on the {pool} pool",
+    )  # fmt: skip
+
+
+def ratio(score: str, folder: Path | None) -> Measured | None:
+    """Return acquisitions to 5 % with weight draws by those without, less the 0.8 from which "far fewer" begins."""
+    rows = load_rows("ours", folder)
+    names = [f"{kind}/{score}" for kind in ("dropout", "softmax")]
+    if not set(names) <= rows.keys():
+        return None
+    seeds = [seed for seed in rows[names[0]].seeds if seed in rows[names[1]].seeds]
+    first, second = (rows[n].error[[rows[n].seeds.index(seed) for seed in seeds]] for n in names)
+    difference = bootstrap_estimate(lambda i: crossing(first[i]) / crossing(second[i]) - 0.8, len(seeds))
+    found = [record for name in names for record in rows[name].records]
+    return Measured(difference, shifted(difference.interval, 0.8), found)
+
+
+def averaging(folder: Path | None) -> Measured | None:
+    """Return the test error of weight scaling less that of an average over draws, where both were measured."""
+    row = load_rows("ours", folder).get("random")
+    if row is None:
+        return None
+    averaged = row.stack("mc_error")
+    difference = mean_estimate((row.error - averaged)[:, ~np.isnan(averaged[0])].mean(1))
+    return Measured(difference, difference.interval, row.records)
+
+
+def slope(name: str, folder: Path | None) -> Measured | None:
+    """Return by how much a line through the last eleven points, 900 to 1000 labels, rises; in points."""
+    row = load_rows("ours", folder).get(name)
+    if row is None:
+        return None
+    last = row.labels >= row.labels[-1] - 100
+    difference = mean_estimate(100 * np.polyfit(row.labels[last], row.error[:, last].T, 1)[0])
+    return Measured(difference, difference.interval, row.records)
+
+
+# ------------------------------------------------------------------ audits
+
+
+def all_tied(name: str, folder: Path | None) -> Measured | None:
+    """Return whether every candidate had the same score in every round of a row."""
+    row = load_rows("ours", folder).get(name)
+    if row is None:
+        return None
+    share = share_tied(row)
+    return Measured(audited(share == 1.0).difference, Interval(share, np.nan, np.nan, len(row.seeds)), row.records)
+
+
+def minima(_: Path | None) -> Measured:
+    """Return whether the minimum of the recorded mean curves gives every printed cell to two decimals."""
+    lows = {name: float(row.error.mean(0).min()) for name, row in original_rows().items()}
+    return audited(all(round(low, 2) == printed(f"table-5.1/{name}") for name, low in lows.items()))
+
+
+def mixed(field: str, _: Path | None) -> Measured:
+    """Return whether the scripts behind the cells differ in a field of their configs."""
+    return audited(len({getattr(CONFIGS[f"as-recorded/{name}"], field) for name in CELLS}) > 1)
+
+
+def audit(identifier: str, text: str, where: str, measure: Callable[[Path | None], Measured | None]) -> Statement:
+    """Return a statement about a fact, that is no claim of the thesis."""
+    return Statement(identifier, text, where, "audit", 0.0, TABLES, measure)
+
+
+# ------------------------------------------------------------------ the list
+
+FIGURE_1, FIGURE_2, WORDS = "Figure 5.1", "Figure 5.2", "Section 5.2, text to Figure 5.1"
+DRAW, PASS = "dropout/max-entropy", "softmax/max-entropy"
+
+STATEMENTS: list[Statement] = [
+    *(of_table(f"AL1{letter}", "table-5.1", name) for letter, name in zip("abcdefg", CELLS, strict=True)),
+    *(of_table(f"AL2{letter}", "table-5.2", name) for letter, name in zip("abcdefg", CELLS, strict=True)),
+    *(
+        compared(
+            f"AL3{letter}", f"{SCORES[score]} over weight draws errs less than Softmax {SCORES[score]} {when}.",
+            FIGURE_1, "less", f"dropout/{score}", f"softmax/{score}", acquired,
         )
-    ]
-
-
-@claim(
-    "AL4", "Section 5.2, text to Figure 5.1",
-    "With MC dropout, Variation Ratios is ahead of BALD between about 150 and 400 acquired points, and BALD ahead of "
-    "Variation Ratios before 150.",
-    "paired difference Variation Ratios - BALD is negative over 150-400 and positive over 0-140 acquired points",
-)  # fmt: skip
-def al4(rows: UsedRows) -> list[Part]:
-    pair = ("dropout/variation-ratios", "dropout/bald")
-    return [
-        *difference(rows, *pair, (150, 400), "Variation Ratios - BALD, 150-400", "negative"),
-        *difference(rows, *pair, (0, 140), "Variation Ratios - BALD, 0-140", "positive"),
-    ]
-
-
-@claim(
-    "AL5", "Figure 5.2",
-    "Random acquisition is worse than BALD, Variation Ratios and Max Entropy with MC dropout.",
-    "paired difference Random - Dropout is positive, over 100-400 and over 960-980 acquired points",
-)  # fmt: skip
-def al5(rows: UsedRows) -> list[Part]:
-    return [
-        part
-        for name in NAMES
-        for when, acquired in (("early", EARLY), ("end", END))
-        for part in difference(
-            rows, "random", f"dropout/{name}", acquired, f"Random - {NAMES[name]}, {when}", "positive"
+        for letter, score, when, acquired in (
+            ("a", "bald", "early", EARLY), ("b", "bald", "at the end", END),
+            ("c", "variation-ratios", "early", EARLY), ("d", "variation-ratios", "at the end", END),
         )
-    ]
-
-
-@claim(
-    "AL6", "Table 5.2",
-    "The Dropout versions reach 5 % test error in far fewer acquisitions than the Softmax versions.",
-    "ratio of the first crossings of the mean curves, Dropout / Softmax, is below 1",
-)  # fmt: skip
-def al6(rows: UsedRows) -> list[Part]:
-    parts = []
-    for name in NAMES:
-        if rows.having(f"dropout/{name}", f"softmax/{name}"):
-            interval = crossing_ratio(rows[f"dropout/{name}"], rows[f"softmax/{name}"])
-            verdict = direction(interval, expected="negative", null=1.0)
-            parts.append(Part(f"Dropout / Softmax {NAMES[name]}", interval, "", verdict))
-        else:
-            parts.append(missing(f"Dropout / Softmax {NAMES[name]}"))
-    return parts
-
-
-def crossing_ratio(first: Row, second: Row, threshold: float = 5.0) -> Interval:
-    """Return the ratio of the first crossings of two mean curves, with a bootstrap over common seeds.
-
-    It is 0 if only the second never crosses, and NaN if the first does not.
-    """
-    common = [seed for seed in first.seeds if seed in second.seeds]
-    curves = [row.error[[row.seeds.index(seed) for seed in common]] for row in (first, second)]
-
-    def ratio(indices: np.ndarray) -> float:
-        numerator, denominator = (first_crossing(c[indices].mean(0), threshold) for c in curves)
-        return float(numerator / denominator) if np.isfinite(numerator) else np.nan
-
-    return bootstrap_interval(ratio, len(common))
-
-
-@claim(
-    "AL7", "our finding; original code and data",
-    "A deterministic network gives every point the same Variation Ratios and BALD score, so these two Softmax rows are "
-    "random acquisition; a fair deterministic competitor is Least Confidence.",
-    "all scores tie in every round; difference to Random over 100-980 acquired points has an interval that holds 0; "
-    "Least Confidence is better than both, over the same range",
-)  # fmt: skip
-def al7(rows: UsedRows) -> list[Part]:
-    parts = []
-    for name in ("variation-ratios", "bald"):
-        row = f"softmax/{name}"
-        if rows.having(row, "random"):
-            share = share_tied(rows[row])
-            tied: Verdict = "replicated" if share == 1.0 else "not replicated"
-            parts.append(
-                Part(
-                    f"Softmax {NAMES[name]}, rounds that tie",
-                    Interval(100 * share, np.nan, np.nan, len(rows[row].seeds)),
-                    "%",
-                    tied,
-                )
-            )
-            interval = paired_error(rows[row], rows["random"], *ALL)
-            parts.append(Part(f"Softmax {NAMES[name]} - Random", interval, "points", same_value(interval, 0.0)))
-        parts += difference(
-            rows, "softmax/least-confidence", row, ALL, f"Least Confidence - Softmax {NAMES[name]}", "negative"
-        )  # fmt: skip
-    return parts
-
-
-@claim(
-    "AL8", "our finding; original code and data",
-    "Table 5.1 prints the minimum of the mean curve, and mixes two networks, two weight decays and two pool sizes.",
-    "the minimum of the recorded mean curves gives every printed cell to two decimals; the Random row as its script "
-    "ran it ends higher than in the common setting",
-)  # fmt: skip
-def al8(rows: UsedRows) -> list[Part]:
-    parts = []
-    for name, row in original_rows().items():
-        printed = thesis_value(f"table-5.1/{name}")
-        equal: Verdict = "replicated" if round(row.minimum.value, 2) == printed else "not replicated"
-        parts.append(Part(f"recorded {row.label} (thesis {printed})", row.minimum, "%", equal))
-    recorded = load_rows("as-recorded")
-    what = "Random as recorded - common setting, end"
-    if "random" not in recorded or not rows.having("random"):
-        parts.append(missing(what))
-    else:
-        interval = paired_error(recorded["random"], rows["random"], *END)
-        parts.append(Part(what, interval, "points", direction(interval, expected="positive")))
-    return parts
-
-
-@claim(
-    "AL9", "Section 5.2, third paragraph",
-    "Bayesian CNNs work well with small amounts of data.",
-    "along the labels of the Random row: the network without dropout has a higher test error; averaging over weight "
-    "draws has not a higher one than weight scaling",
-)  # fmt: skip
-def al9(rows: UsedRows) -> list[Part]:
-    parts = difference(rows, "random-without-dropout", "random", (0, 980), "without dropout - with dropout", "positive")
-    if rows.having("random"):
-        averaged = rows["random"].stack("mc_error")
-        measured = ~np.isnan(averaged[0])
-        interval = t_interval((rows["random"].error - averaged)[:, measured].mean(1))
-        parts.append(Part("weight scaling - MC average", interval, "points", _not_negative(interval)))
-    return parts
-
-
-def _not_negative(interval: Interval) -> Verdict:
-    if interval.n < MIN_REPETITIONS:
-        return "undecided"
-    return "replicated" if interval.high >= 0 else "not replicated"
-
-
-CLAIMS: list[Claim] = [al1, al2, al3, al4, al5, al6, al7, al8, al9]
+    ),
+    in_pool(
+        "AL3e", "The entropy over weight draws chooses better labels than the entropy of one pass of the network.",
+        WORDS, "less", "clean", DRAW, PASS, primary=True,
+    ),
+    compared("AL3f", "The same in the rows of the tables, at the end.", WORDS, "less", DRAW, PASS, END),
+    compared("AL3g", "The same in the rows of the tables, early.", WORDS, "less", DRAW, PASS),
+    compared(
+        "AL4a", "Variation Ratios is ahead of BALD between 150 and 400 acquired points.", WORDS, "less",
+        "dropout/variation-ratios", "dropout/bald", (150, 400),
+    ),
+    compared(
+        "AL4b", "BALD is ahead of Variation Ratios before 150 acquired points.", WORDS, "more",
+        "dropout/variation-ratios", "dropout/bald", (0, 140),
+    ),
+    compared("AL5a", "Labels chosen at random are worse than those of BALD, early.", FIGURE_2, "more",
+             "random", "dropout/bald"),
+    compared("AL5b", "Labels chosen at random are worse than those that Variation Ratios asks for, early.", FIGURE_2,
+             "more", "random", "dropout/variation-ratios", primary=True),
+    compared("AL5c", "Labels chosen at random are worse than those of Max Entropy, early.", FIGURE_2, "more",
+             "random", "dropout/max-entropy"),
+    *(
+        compared(f"AL5{letter}", f"Labels chosen at random are worse than those of {SCORES[score]}, at the end.",
+                 FIGURE_2, "more", "random", f"dropout/{score}", END)
+        for letter, score in (("d", "bald"), ("e", "variation-ratios"), ("f", "max-entropy"))
+    ),
+    *(
+        Statement(
+            f"AL6{letter}", f"{SCORES[score]} over weight draws needs far fewer acquisitions to 5 % than its Softmax "
+            "version: less than 0.8 times as many.", "Table 5.2", "less", 0.1, TABLES, partial(ratio, score),
+            unit="", thesis=0.8,
+        )
+        for letter, score in (("a", "max-entropy"), ("b", "variation-ratios"), ("c", "bald"))
+    ),
+    audit("AL7a", "Softmax BALD cannot choose: all candidates have the same score in every round.", FIGURE_1,
+          partial(all_tied, "softmax/bald")),
+    audit("AL7b", "Softmax Variation Ratios cannot choose: all candidates have the same score in every round.",
+          FIGURE_1, partial(all_tied, "softmax/variation-ratios")),
+    audit("AL8a", "Table 5.1 prints the minima of the recorded mean curves.", "Table 5.1", minima),
+    audit("AL8b", "The rows of the tables come from two networks.", "Tables 5.1 and 5.2", partial(mixed, "kernel")),
+    audit("AL8c", "They come from two weight decays.", "Tables 5.1 and 5.2", partial(mixed, "decay")),
+    audit("AL8d", "They search different parts of the pool.", "Tables 5.1 and 5.2", partial(mixed, "subset")),
+    compared("AL9a", "With 20 to 100 labels, dropout in training lowers the test error.", "Section 5.2, paragraph 3",
+             "more", "random-without-dropout", "random", (0, 80)),
+    compared("AL9b", "With 100 to 400 labels it does so too.", "Section 5.2, paragraph 3", "more",
+             "random-without-dropout", "random", (80, 380)),
+    Statement("AL9c", "An average over weight draws predicts as well as weight scaling.", "Section 5.2, paragraph 4",
+              "equality", MARGIN_END, TABLES, averaging, unit="points"),
+    *(
+        Statement(f"AL10{letter}", f"The test error of {LABELS[name]} has converged at 1000 labels.",
+                  "Section 5.2, text to Table 5.1", "equality", 0.1, TABLES, partial(slope, name),
+                  unit="points per 100 labels")
+        for letter, name in zip("abcd", ("random", *(f"dropout/{score}" for score in SCORES)), strict=True)
+    ),
+    in_pool("AL11", "Where images are ambiguous, weight draws choose better labels: BALD against the entropy of one "
+            "pass.", WORDS, "less", "ambiguous", "dropout/bald", PASS, primary=True),
+    *(
+        in_pool(f"AL11{letter}", f"{LABELS[first]} errs less than {LABELS[second]} on the {pool} pool.", WORDS, "less",
+                pool, first, second)
+        for letter, (pool, first, second) in zip(
+            "bcdefghijklmnop",
+            (c for c in pools.CONTRASTS[1:] if c[1] != "dropout/mean-std" and c != ("clean", DRAW, PASS)),
+            strict=False,
+        )
+    ),
+    in_pool("AL12", "Mean STD is not the best summary: worse than BALD on the ambiguous pool.", "Footnote 1", "more",
+            "ambiguous", "dropout/mean-std", "dropout/bald"),
+    *(
+        compared(f"AL12{letter}", f"Mean STD is worse than {SCORES[score]} in the rows of the tables.", "Footnote 1",
+                 "more", "dropout/mean-std", f"dropout/{score}")
+        for letter, score in zip("bcd", SCORES, strict=True)
+    ),
+]  # fmt: skip

@@ -38,7 +38,7 @@ LABELS: dict[str, str] = {
     "pilco-paper-40": "PILCO, one repetition of 40 trials",
     "original": "PILCO's own code",
 }
-#: Configs by the names that results go by (figure-5.7/<name>/...); the plain ones are judged.
+#: Configs by the names that results go by (figure-5.7/<name>/...).
 NAMES: dict[str, str] = {
     "pilco-paper": "pilco",
     "deep-pilco-ours": "deep-pilco",
@@ -320,7 +320,7 @@ def results(folder: Path | None = None) -> list[Result]:
 
 
 def _results(learning: Learning, name: str) -> list[Result]:
-    """Return the statistics of one config; only the trials to solve have a printed value to be judged by."""
+    """Return the statistics of one config; the trials to solve have a printed value."""
     solve = "first trial by which at least half of the repetitions had a solved one"
     statistics = [
         ("trials-to-solve", learning.trials_to_solve, "trials", solve),

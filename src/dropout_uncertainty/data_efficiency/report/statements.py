@@ -1,141 +1,241 @@
-"""Claims about both learners as code: quantity, rule, verdict. The rules were fixed before the published runs."""
+"""The statements of section 5.4 about both learners and their figures: what the thesis says, and how it is judged."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-from dropout_uncertainty.data_efficiency.report import analysis
-from dropout_uncertainty.data_efficiency.report.analysis import LABELS, LATER, Learning, excess_on_predictable, load
-from dropout_uncertainty.judging.results import Claim, Part, direction, missing, same_value, thesis_value
-from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, paired_difference, t_interval
+import numpy as np
+from jaxtyping import Float
 
-__all__ = ["CLAIMS"]
+from dropout_uncertainty.data_efficiency.report.analysis import (
+    Learning,
+    excess_on_predictable,
+    load,
+    share_solved,
+    steps_held,
+    steps_predicted,
+)
+from dropout_uncertainty.judging.results import printed
+from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, from_range, nothing, shifted
+from dropout_uncertainty.stats import Interval, bootstrap_estimate, mean_estimate, share_estimate, t_interval
 
-#: Deep PILCO's configs, in the order in which claims about it are judged.
-DEEP = ("deep-pilco-as-written", "deep-pilco-ours")
+__all__ = ["MARGIN_COST", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "stated"]
 
+CHAPTER, MATTERS, DOUBT = "5_4_data_efficiency", "5_4_what_matters", "5_4_is_it_doubt"
+#: Margins: of the mean cost per step of trials 1-25, of shares, and of trials to solve.
+MARGIN_COST, MARGIN_SHARE, MARGIN_TRIALS = 0.05, 0.1, 3.0
 
-def claim(
-    identifier: str, where: str, text: str, rule: str, configs: Sequence[str] = ("pilco-paper",)
-) -> Callable[[Callable[[Learning], list[Part]]], Claim]:
-    """Turn a function from the repetitions of one config to parts into a claim about each of ``configs``."""
-
-    def decorate(function: Callable[[Learning], list[Part]]) -> Claim:
-        def measure(folder: Path | None) -> tuple[list[Part], list[Record]]:
-            parts: list[Part] = []
-            found: list[Record] = []
-            for config in configs:
-                learning = load(config, folder)
-                mine = [missing(LABELS[config])] if learning is None else function(learning)
-                if len(configs) > 1 and learning is not None:
-                    mine = [replace(part, what=f"{learning.label}, {part.what}") for part in mine]
-                parts += mine
-                found += learning.records if learning is not None else ()
-            return parts, found
-
-        return Claim(identifier, text, where, rule, "5_4_data_efficiency", measure)
-
-    return decorate
+Measure = Callable[[Path | None], Measured | None]
 
 
-@claim(
-    "DE1", "Section 5.4.3 and Figure 5.7",
-    "PILCO balances the pole within 6 to 7 trials in most runs.",
-    "the share of repetitions solved by trial 7 is above one half; the trial by which half of them are solved has an "
-    "interval that holds 6.5",
-)  # fmt: skip
-def de1(pilco: Learning) -> list[Part]:
-    share, trials = pilco.solved_by(7), pilco.trials_to_solve
-    printed = _printed("figure-5.7/pilco/trials-to-solve")
+def stated(
+    identifier: str, text: str, where: str, kind: Kind, margin: float, measure: Measure = nothing, *,
+    unit: str = "", thesis: float | None = None, chapter: str = CHAPTER, primary: bool = False, would_test: str = "",
+) -> Statement:  # fmt: skip
+    """Return a statement of section 5.4; without ``measure`` it is untested."""
+    return Statement(identifier, text, where, kind, margin, chapter, measure, unit, thesis, primary, would_test)
+
+
+def cost_of_learning(learning: Learning, trials: int = 25) -> Float[np.ndarray, " R"]:
+    """Return the mean cost per step of the controlled trials of each repetition, up to a trial or to the last."""
+    return learning.trial_costs[:, 1 : trials + 1].mean(1)
+
+
+# ------------------------------------------------------------------ trials to solve
+
+
+def half(flags: np.ndarray, learning: Learning) -> Measured:
+    """Return the share of repetitions of which something is true, less one half: "most"."""
+    estimate = share_estimate(flags, 0.5)
+    return Measured(estimate, shifted(estimate.interval, 0.5), learning.records)
+
+
+def solved_by(config: str, trial: int, folder: Path | None) -> Measured | None:
+    """Return the share of repetitions solved by a trial, less one half."""
+    learning = load(config, folder)
+    return half(learning.first_solved <= trial, learning) if learning else None
+
+
+def trials_to_solve(config: str, low: float, high: float, folder: Path | None) -> Measured | None:
+    """Return how far the trial by which half of the repetitions are solved lies outside a printed range."""
+    learning = load(config, folder)
+    if learning is None:
+        return None
+    first = learning.first_solved
+    trial = bootstrap_estimate(lambda i: float(np.quantile(first[i], 0.5, method="inverted_cdf")), len(first))
+    return Measured(from_range(trial, low, high), trial.interval, learning.records)
+
+
+def times_as_many(claimed: float, folder: Path | None) -> Measured | None:
+    """Return Deep PILCO's trials to solve by those of PILCO, both at the median, less what is claimed."""
+    deep, pilco = load("deep-pilco-ours", folder), load("pilco-paper", folder)
+    if deep is None or pilco is None:
+        return None
+
+    def ratio(i: np.ndarray, j: np.ndarray) -> float:
+        ours, theirs = (
+            float(np.quantile(x, 0.5, method="inverted_cdf")) for x in (deep.first_solved[i], pilco.first_solved[j])
+        )
+        return ours / theirs - claimed
+
+    difference = bootstrap_estimate(ratio, len(deep.seeds), len(pilco.seeds))
+    return Measured(difference, shifted(difference.interval, claimed), [*deep.records, *pilco.records])
+
+
+#: Deep PILCO's configs: as the text has it and nothing else, with what the paper and we added, and our own.
+DEEP = {
+    "as-text": ("deep-pilco-as-text", "Deep PILCO, as the text has it"),
+    "as-paper": ("deep-pilco-as-written", "Deep PILCO, with features and a memory of ten trials"),
+    "ours": ("deep-pilco-ours", "Deep PILCO, our setting"),
+}
+WAITS = "40 runs of Deep PILCO as the text has it, with nothing added"
+RESULT, CAPTION = "Section 5.4.3", "Figure 5.7, caption"
+
+
+def of_deep(letters: str, name: str) -> list[Statement]:
+    """Return the three statements about the trials that one config of Deep PILCO needs."""
+    config, words = DEEP[name]
+    reason = WAITS if name == "as-text" else ""
+    ranges = {"20 to 25": (20.0, 25.0, RESULT), "42": (42.0, 42.0, CAPTION)}
     return [
-        Part("share solved by trial 7", share, "", direction(share, expected="positive", null=0.5)),
-        Part(f"trials until half are solved (thesis {printed:g})", trials, "", same_value(trials, printed)),
-    ]
+        stated(f"DE2{letters[0]}", f"{words}: most runs have balanced the pole by trial 25.", RESULT, "more",
+               MARGIN_SHARE, partial(solved_by, config, 25), unit="share", thesis=0.5, would_test=reason),
+        *(
+            stated(f"DE2{letter}", f"{words}: half of the runs have done so after {count} trials.", where, "value",
+                   MARGIN_TRIALS, partial(trials_to_solve, config, low, high), unit="trials",
+                   thesis=(low + high) / 2, would_test=reason)
+            for letter, (count, (low, high, where)) in zip(letters[1:], ranges.items(), strict=True)
+        ),
+    ]  # fmt: skip
 
 
-@claim(
-    "DE2", "Section 5.4.3, Figure 5.7",
-    "Deep PILCO balances the pole within 20 to 25 trials in most runs.",
-    "as written and in our setting: the share of repetitions solved by trial 25 is above one half; the trial by which "
-    "half of them are solved has an interval that holds 22.5",
-    DEEP,
-)  # fmt: skip
-def de2(deep: Learning) -> list[Part]:
-    share, trials = deep.solved_by(25), deep.trials_to_solve
-    printed = _printed("figure-5.7/deep-pilco/trials-to-solve")
-    return [
-        Part("share solved by trial 25", share, "", direction(share, expected="positive", null=0.5)),
-        Part(f"trials until half are solved (thesis {printed:g})", trials, "", same_value(trials, printed)),
-    ]
+# ------------------------------------------------------------------ Figure 5.8
+
+PANEL = "deep-pilco-as-written"
 
 
-@claim(
-    "DE3", "Figure 5.8",
-    "After one trial the model is of no use; after 10 it predicts about 13 steps and the pole is held for about 10; "
-    "after 20 a little better; from about 26 most trials are stable.",
-    "as written and in our setting, of true trials of the controllers after 1, 10, 20 and 26 trials of data: steps "
-    "that the model had predicted, after 10 trials more than after 1, with an interval that holds 13, and after 20 "
-    "more than after 10; steps for which the pole stood after 10 trials, with an interval that holds 10; the share of "
-    "solved ones after 26 trials is above one half",
-    DEEP,
-)  # fmt: skip
-def de3(deep: Learning) -> list[Part]:
-    predicted = {trial: analysis.steps_predicted(deep, trial) for trial in (1, 10, 20)}
-    sooner = paired_difference(predicted[10], predicted[1])
-    later = paired_difference(predicted[20], predicted[10])
-    ten, held, stable = (
-        t_interval(values) for values in (predicted[10], analysis.steps_held(deep, 10), analysis.share_solved(deep, 26))
-    )
-    thirteen, stood = (_printed(f"figure-5.8/deep-pilco/{kind}-after-10") for kind in ("steps-predicted", "steps-held"))
-    return [
-        Part("steps predicted after 10 trials - after 1", sooner, "", direction(sooner, expected="positive")),
-        Part(f"steps predicted after 10 (thesis {thirteen:g})", ten, "", same_value(ten, thirteen)),
-        Part("steps predicted after 20 trials - after 10", later, "", direction(later, expected="positive")),
-        Part(f"steps held after 10 (thesis {stood:g})", held, "", same_value(held, stood)),
-        Part("share solved after 26", stable, "", direction(stable, expected="positive", null=0.5)),
-    ]
+def panel(quantity: Callable[[Learning], np.ndarray], claimed: float, folder: Path | None) -> Measured | None:
+    """Return a quantity of each repetition less what is claimed; that of our setting is shown beside."""
+    learning = load(PANEL, folder)
+    if learning is None:
+        return None
+    difference = mean_estimate(quantity(learning) - claimed)
+    ours = load("deep-pilco-ours", folder)
+    beside: dict[str, Interval] = {"our setting": t_interval(quantity(ours))} if ours else {}
+    return Measured(difference, shifted(difference.interval, claimed), learning.records, beside)
 
 
-@claim(
-    "DE9", "Section 5.4.3, Figure 5.7",
-    "Both need orders of magnitude fewer trials than model-free learners, which take about 400 and 2500.",
-    "the printed numbers of trials are more than ten times ours; and a model-free learner run on our cart-pole needs "
-    "more than ten times as many, which has not been run, so that the claim stays undecided",
-    ("pilco-paper", "deep-pilco-ours"),
-)  # fmt: skip
-def de9(learning: Learning) -> list[Part]:
-    parts = []
-    for identifier, name in (("gu-2016", "Gu et al."), ("lillicrap-2015", "Lillicrap et al.")):
-        trials, printed = learning.trials_to_solve, _printed(f"literature/{identifier}/trials")
-        ratio = Interval(printed / trials.value, printed / trials.high, printed / trials.low, trials.n)
-        parts.append(Part(f"trials of {name} / ours", ratio, "", direction(ratio, expected="positive", null=10.0)))
-    return [*parts, missing("a model-free learner on this cart-pole")]
+def failed(folder: Path | None) -> Measured | None:
+    """Return the share of repetitions whose policy, after one trial, fails in most trials; less one half."""
+    learning = load(PANEL, folder)
+    return half(share_solved(learning, 1) < 0.5, learning) if learning else None
 
 
-@claim(
-    "DE11", "Section 5.4.1, last paragraph",
-    "PILCO optimises the policy on the states that it can predict well.",
-    f"at the beginning of the policy searches of trials {LATER[0]}-{LATER[-1]}: the more doubt about the angle at a "
-    "step, the less that step counts in the gradient compared with a model without doubt (rank correlation negative); "
-    "steps at which a standard deviation of the angle moves the tip by less than the width of the cost have a larger "
-    "share of the gradient than in a model without doubt",
-)  # fmt: skip
-def de11(pilco: Learning) -> list[Part]:
-    correlation, difference = map(t_interval, excess_on_predictable(pilco))
-    share = "share of the gradient on well predicted steps, with doubt - without"
-    return [
-        Part("rank correlation over steps", correlation, "", direction(correlation, expected="negative")),
-        Part(share, difference, "", direction(difference, expected="positive")),
-    ]
+def _grown(quantity: Callable[[Learning, int], np.ndarray], to: int, since: int) -> Callable[[Learning], np.ndarray]:
+    return lambda learning: quantity(learning, to) - quantity(learning, since)
 
 
-def _printed(identifier: str) -> float:
-    """Return a value of ``records/thesis.csv`` that must be there."""
-    value = thesis_value(identifier)
-    if value is None:
-        raise KeyError(f"records/thesis.csv has no {identifier}")
-    return value
+STEPS, HELD = (printed(f"figure-5.8/deep-pilco/{name}-after-10") for name in ("steps-predicted", "steps-held"))
+AFTER = "Figure 5.8"
+
+FIGURE_5_8 = [
+    stated("DE3a", "After one trial the model predicts fewer steps than after ten.", f"{AFTER} (a)", "more",
+           NEAR * STEPS, partial(panel, _grown(steps_predicted, 10, 1), 0.0), unit="steps"),
+    stated("DE3b", "After one trial the policy of most runs fails in most of its trials.", f"{AFTER} (a)", "more",
+           MARGIN_SHARE, failed, unit="share", thesis=0.5),
+    stated("DE3c", "After ten trials the model predicts the first 13 steps.", f"{AFTER} (b)", "value", NEAR * STEPS,
+           partial(panel, lambda x: steps_predicted(x, 10), STEPS), unit="steps", thesis=STEPS),
+    stated("DE3d", "After ten trials the pole is held for ten steps.", f"{AFTER} (b)", "value", NEAR * HELD,
+           partial(panel, lambda x: steps_held(x, 10), HELD), unit="steps", thesis=HELD),
+    stated("DE3e", "After twenty trials the model is better than after ten.", f"{AFTER} (c)", "more", NEAR * STEPS,
+           partial(panel, _grown(steps_predicted, 20, 10), 0.0), unit="steps"),
+    stated("DE3f", "After twenty trials the pole is held for longer than after ten.", f"{AFTER} (c)", "more",
+           NEAR * HELD, partial(panel, _grown(steps_held, 20, 10), 0.0), unit="steps"),
+    stated("DE3g", "From trial 26 on the model predicts more steps than after ten.", f"{AFTER} (d)", "more",
+           NEAR * STEPS, partial(panel, _grown(steps_predicted, 26, 10), 0.0), unit="steps"),
+    stated("DE3h", "From trial 26 on the policy succeeds in most trials.", f"{AFTER} (d)", "more", MARGIN_SHARE,
+           partial(panel, lambda x: share_solved(x, 26), 0.5), unit="share", thesis=0.5),
+]  # fmt: skip
 
 
-CLAIMS: list[Claim] = [de1, de2, de3, de9, de11]
+# ------------------------------------------------------------------ doubt
+
+
+def dearer(first: tuple[str, ...], second: str, trials: int, folder: Path | None) -> Measured | None:
+    """Return the cost of learning of the first config that has records less that of another, paired by seed."""
+    one = next(filter(None, (load(name, folder) for name in first)), None)
+    two = load(second, folder)
+    if one is None or two is None:
+        return None
+    until = min(trials, one.trials, two.trials)
+    costs = [dict(zip(x.seeds, cost_of_learning(x, until), strict=True)) for x in (one, two)]
+    difference = mean_estimate([costs[0][seed] - costs[1][seed] for seed in one.seeds if seed in costs[1]])
+    return Measured(difference, difference.interval, [*one.records, *two.records])
+
+
+def promised(folder: Path | None) -> Measured | None:
+    """Return by how much the trials of Deep PILCO without dropout cost more than its model said."""
+    learning = load("doubt/no-dropout", folder) or load("what-matters/no-dropout", folder)
+    if learning is None:
+        return None
+    difference = mean_estimate((learning.trial_costs - learning.predicted_costs)[:, 1:].mean(1))
+    return Measured(difference, difference.interval, learning.records)
+
+
+def gradient(which: int, folder: Path | None) -> Measured | None:
+    """Return one of the two statistics of ``analysis.excess_on_predictable``."""
+    learning = load("pilco-paper", folder)
+    if learning is None or "search_variance" not in learning.arrays:
+        return None
+    difference = mean_estimate(excess_on_predictable(learning)[which])
+    return Measured(difference, difference.interval, learning.records)
+
+
+INTRODUCTION, PILCO_TEXT, DEEP_TEXT = "Section 5.4", "Section 5.4.1", "Section 5.4.2"
+
+STATEMENTS: list[Statement] = [
+    stated("DE1a", "By trial 7 PILCO has balanced the pole in more than half of its runs.", RESULT, "more",
+           MARGIN_SHARE, partial(solved_by, "pilco-paper", 7), unit="share", thesis=0.5),
+    stated("DE1b", "Half of PILCO's runs have done so after 6 to 7 trials.", RESULT, "value", MARGIN_TRIALS,
+           partial(trials_to_solve, "pilco-paper", 6.0, 7.0), unit="trials", thesis=6.5),
+    stated("DE1c", "Half of PILCO's runs have done so after 5 trials.", CAPTION, "value", MARGIN_TRIALS,
+           partial(trials_to_solve, "pilco-paper", 5.0, 5.0), unit="trials", thesis=5.0),
+    *of_deep("abc", "as-text"),
+    *of_deep("def", "as-paper"),
+    *of_deep("ghi", "ours"),
+    *FIGURE_5_8,
+    stated("DE7a", "The doubt in Deep PILCO's model makes learning cheaper: without dropout it costs more.",
+           PILCO_TEXT, "more", MARGIN_COST,
+           partial(dearer, ("doubt/no-dropout", "what-matters/no-dropout"), "deep-pilco-ours", 25),
+           unit="cost per step", chapter=MATTERS, primary=True),
+    stated("DE7b", "Without dropout the model promises less cost than the trials then have.", PILCO_TEXT, "more",
+           MARGIN_COST, promised, unit="cost per step", chapter=MATTERS),
+    stated("DE7c", "The doubt in PILCO's model makes learning cheaper: planning on its mean alone costs more.",
+           PILCO_TEXT, "more", MARGIN_COST, partial(dearer, ("doubt/pilco-mean",), "pilco-paper-15", 15),
+           unit="cost per step", chapter=DOUBT, primary=True,
+           would_test="40 runs of PILCO that plan on the mean of its model"),
+    stated("DE7d", "A model without doubt predicts well at first and badly later.", PILCO_TEXT, "more", MARGIN_COST,
+           unit="cost per step", chapter=DOUBT,
+           would_test="predicted states step by step of runs without doubt, which are to be made"),
+    *(
+        stated(f"DE9{letter}", f"{learner} needs more than {times} times as many trials as {words}.",
+               f"{INTRODUCTION}, {RESULT}", "more", 0.0, unit="times",
+               would_test=f"runs of {learner} on this cart-pole; the printed trials are of others")
+        for letter, learner, times, words in (
+            ("a", "DDPG", "ten", "Deep PILCO"), ("b", "NAF", "ten", "Deep PILCO"),
+            ("c", "DDPG", "a hundred", "Deep PILCO"), ("d", "NAF", "a hundred", "Deep PILCO"),
+        )
+    ),
+    stated("DE11a", "The less PILCO can predict a step, the less it counts in the gradient (rank correlation).",
+           PILCO_TEXT, "less", MARGIN_SHARE, partial(gradient, 0)),
+    stated("DE11b", "Steps that PILCO predicts well have a larger share of its gradient than without doubt.",
+           PILCO_TEXT, "more", MARGIN_SHARE, partial(gradient, 1), unit="share"),
+    stated("DE13", "Where the state is not fully seen, a recurrent Bayesian network predicts better.", DEEP_TEXT,
+           "less", 0.0, would_test="recurrent networks on a cart-pole whose velocities are hidden"),
+    stated("DE14a", "Deep PILCO needs more trials than PILCO.", INTRODUCTION, "more", NEAR,
+           partial(times_as_many, 1.0), unit="times", thesis=1.0),
+    stated("DE14b", "It needs slightly more: less than twice as many.", INTRODUCTION, "less", 2 * NEAR,
+           partial(times_as_many, 2.0), unit="times", thesis=2.0),
+    stated("DE15", "Deep PILCO can learn from high-dimensional observations, PILCO cannot.",
+           f"{INTRODUCTION}, {DEEP_TEXT}", "less", 0.0, would_test="both on observations of many dimensions"),
+]  # fmt: skip

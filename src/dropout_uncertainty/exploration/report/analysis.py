@@ -242,7 +242,7 @@ def results(folder: Path | None = None) -> list[Result]:
 
 
 def _results(curves: Curves, suffix: str) -> list[Result]:
-    """Return the statistics of one agent; only the plain crossing of a separate world is judged."""
+    """Return the statistics of one agent."""
     identifier, found = f"figure-5.4/{curves.agent}", curves.records
     crossing = "median over runs of the first point of the curve at or above 1, from the end of the burn-in"
     ticks = curves.crossings()
@@ -257,7 +257,6 @@ def _results(curves: Curves, suffix: str) -> list[Result]:
         measured(
             identifier + kind + suffix, interval, found, unit=unit, statistic=statistic, config=curves.config,
             thesis=f"{identifier}/first-crossing" if "first" in kind else None,
-            judge=kind == "/first-crossing" and not suffix,
         )
         for kind, interval, unit, statistic in statistics
     ]  # fmt: skip

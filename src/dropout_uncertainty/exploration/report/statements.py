@@ -1,11 +1,11 @@
-"""Claims EX1-EX6 of section 5.3 as code: quantity, rule, verdict.
+"""The statements of section 5.3: what the thesis says of Figure 5.4, and how our runs are held against it.
 
-The rules of ``judging.results`` were fixed before the published runs. How the quantities are computed here (medians
-over runs, ranges of ticks) was written when the runs of Thompson sampling and ε-greedy in separate worlds were known,
-and before those of all other configs.
+A batch is 500 ticks here, the interval at which the original program takes a point of its curve; batches of 200 ticks,
+the unit of the program that it was made from, are shown beside.
 """
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,234 +13,300 @@ import numpy as np
 from dropout_uncertainty.exploration.experiment import CONFIGS
 from dropout_uncertainty.exploration.report.analysis import (
     BLOCK,
-    BLOCKS,
     BURN_IN,
     EARLY,
     LATE,
-    Agents,
+    TARGET,
     Curves,
     advantage,
     batches,
-    compare,
     held_out_gap,
     load,
     median,
     paired,
 )
-from dropout_uncertainty.judging.results import (
-    MIN_REPETITIONS,
-    Claim,
-    Part,
-    Sign,
-    Verdict,
-    direction,
-    missing,
-    same_value,
+from dropout_uncertainty.exploration.report.deep_sea import analysis as deep_sea
+from dropout_uncertainty.judging.results import printed
+from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, nothing, shifted
+from dropout_uncertainty.stats import (
+    bootstrap_estimate,
+    difference_of_shares,
+    mean_estimate,
+    share_estimate,
+    t_interval,
 )
-from dropout_uncertainty.judging.results import thesis_value as printed
-from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, paired_difference, t_interval
 
-__all__ = ["CLAIMS"]
+__all__ = ["STATEMENTS"]
 
-#: Where agents live, in words, and the config of the records.
-WORLDS = {"separate worlds": "ours", "one world": "as-demo"}
+CHAPTER, TWO_BY_TWO = "5_3_exploration", "5_3_is_it_exploration"
+#: Margins: of rewards per move, of shares, and of squared TD errors, a tenth of their size.
+MARGIN, MARGIN_SHARE, MARGIN_TD = 0.02, 0.1, 0.017
+#: Batches from the end of the burn-in that the text counts.
+CLAIMED = {agent: printed(f"figure-5.4/{agent}/first-crossing") for agent in ("thompson", "epsilon-greedy")}
 
-
-class Loaded:
-    """The agents of named configs, remembering the records that were asked for."""
-
-    def __init__(self, folder: Path | None) -> None:
-        self.folder = folder
-        self.records: list[Record] = []
-
-    def __call__(self, config: str, *policies: str) -> tuple[Curves, ...] | None:
-        """Return the curves of some agents of a config, None if one of them has no record."""
-        agents = load(config, self.folder)
-        if not all(name in agents for name in policies):
-            return None
-        found = tuple(agents[name] for name in policies)
-        self.records += [record for curves in found for record in curves.records]
-        return found
+Pair = tuple[Curves, Curves]
 
 
-def claim(identifier: str, where: str, text: str, rule: str) -> Callable[[Callable[[Loaded], list[Part]]], Claim]:
-    """Turn a function from records to parts into a claim."""
-
-    def decorate(function: Callable[[Loaded], list[Part]]) -> Claim:
-        def measure(folder: Path | None) -> tuple[list[Part], list[Record]]:
-            loaded = Loaded(folder)
-            return function(loaded), loaded.records
-
-        return Claim(identifier, text, where, rule, "5_3_exploration", measure)
-
-    return decorate
+def agents(config: str, folder: Path | None, *policies: str) -> tuple[Curves, ...] | None:
+    """Return the curves of some agents of a config, None if one of them has no record."""
+    found = load(config, folder)
+    return tuple(found[name] for name in policies) if set(policies) <= found.keys() else None
 
 
-def first_crossing(loaded: Loaded, agent: str) -> list[Part]:
-    """Return one part per kind of world: batches of 500 ticks from the burn-in to a reward of 1."""
-    parts, thesis = [], printed(f"figure-5.4/{agent}/first-crossing")
-    assert thesis is not None
-    for where, config in WORLDS.items():
-        what = f"batches of {BLOCK} ticks in {where} (thesis {thesis:g})"
-        if found := loaded(config, agent):
-            interval = median(batches(found[0].crossings()))
-            parts.append(Part(what, interval, "batches", same_value(interval, thesis)))
-        else:
-            parts.append(missing(what))
-    return parts
+def records_of(*curves: Curves) -> list:
+    """Return the records behind some curves."""
+    return [record for one in curves for record in one.records]
 
 
-def pair(agents: tuple[Curves, ...]) -> Agents:
-    """Return curves by policy."""
-    return {curves.agent: curves for curves in agents}
+# ------------------------------------------------------------------ Figure 5.4
 
 
-def part(what: str, interval: Interval, unit: str, expected: Sign, null: float = 0.0) -> Part:
-    """Return a part that is judged by its sign."""
-    return Part(what, interval, unit, direction(interval, expected=expected, null=null))
-
-
-@claim(
-    "EX1", "Section 5.3, text to Figure 5.4",
-    "With Thompson sampling the average reward is above 1 within 25 batches from the end of the burn-in.",
-    "median over runs of the first point of the curve at or above 1, in batches of 500 ticks: the printed value lies "
-    "in our 95 % interval",
-)  # fmt: skip
-def ex1(loaded: Loaded) -> list[Part]:
-    return first_crossing(loaded, "thompson")
-
-
-@claim(
-    "EX2", "Section 5.3, text to Figure 5.4",
-    "Epsilon-greedy needs 175 batches for the same, seven times as many.",
-    "as EX1; and the ratio of the two medians, which needs no unit, is above 1 and its 95 % interval holds 7",
-)  # fmt: skip
-def ex2(loaded: Loaded) -> list[Part]:
-    parts = first_crossing(loaded, "epsilon-greedy")
-    for where, config in WORLDS.items():
-        what = f"ε-greedy / Thompson in {where}"
-        if found := loaded(config, "thompson", "epsilon-greedy"):
-            ratio = advantage(pair(found), "thompson", "epsilon-greedy")
-            parts += [
-                part(what, ratio, "", "positive", null=1.0),
-                Part(f"{what} (thesis 7)", ratio, "", same_value(ratio, 7.0)),
-            ]
-        else:
-            parts.append(missing(what))
-    return parts
-
-
-@claim(
-    "EX3", "Section 5.3, footnote 4",
-    "Thompson sampling stops improving after 1000 batches, because it still takes random moves while epsilon-greedy "
-    "only exploits by then.",
-    "reward over batches 1000-2000 minus that over 600-1000, for batches of 500 and of 200 ticks: not above 0 for "
-    "Thompson sampling, above 0 for epsilon-greedy; later on, moves other than the best of the network without dropout "
-    "are more frequent with Thompson sampling, and absent with epsilon-greedy",
-)  # fmt: skip
-def ex3(loaded: Loaded) -> list[Part]:
-    found = loaded("as-demo", "thompson", "epsilon-greedy")
+def touched(config: str, folder: Path | None) -> Measured | None:
+    """Return the share of Thompson runs that have reached 1 by batch 25, less the half from which "does" begins."""
+    found = agents(config, folder, "thompson")
     if found is None:
-        return [missing("runs of a million ticks")]
-    thompson, greedy = found
-    parts = []
-    for unit in (500, 200):
-        mine, theirs = (gain(curves, unit) for curves in found)
-        parts += [
-            Part(f"gain of Thompson, batches of {unit}", mine, "reward", not_above(mine)),
-            part(f"gain of ε-greedy, batches of {unit}", theirs, "reward", "positive"),
-        ]
-    late = (BURN_IN + 1000 * BLOCK, int(thompson.ticks[-1]))
-    shares = [100 * curves.share("explored", *late) for curves in paired(thompson, greedy)]
-    only = t_interval(shares[1])
-    return [
-        *parts,
-        part("moves not the best, Thompson - ε-greedy", paired_difference(*shares), "points of %", "positive"),
-        Part("moves not the best, ε-greedy", only, "%", same_value(only, 0.0)),
-    ]
+        return None
+    by, runs = CLAIMED["thompson"], found[0].crossings()
+    half = share_estimate(batches(runs) <= by, 0.5)
+    short = share_estimate(batches(runs, 200) <= by, 0.0).interval
+    beside = {"batches of 200 ticks": short}
+    if text := agents("as-written", folder, "thompson"):
+        beside["dropout where the text has it"] = share_estimate(batches(text[0].crossings()) <= by, 0.0).interval
+    return Measured(half, shifted(half.interval, 0.5), found[0].records, beside)
 
 
-def gain(curves: Curves, unit: int) -> Interval:
+def height(config: str, folder: Path | None) -> Measured | None:
+    """Return the mean curve of Thompson sampling at batch 25, less 1."""
+    found = agents(config, folder, "thompson")
+    if found is None:
+        return None
+    ends = {unit: int(BURN_IN + CLAIMED["thompson"] * unit) for unit in (500, 200)}
+    above = {unit: mean_estimate(found[0].mean(end - BLOCK, end) - TARGET) for unit, end in ends.items()}
+    beside = {"batches of 200 ticks": shifted(above[200].interval, TARGET)}
+    return Measured(above[500], shifted(above[500].interval, TARGET), found[0].records, beside)
+
+
+def arrival(config: str, folder: Path | None) -> Measured | None:
+    """Return the median batch at which ε-greedy reaches 1, less the printed one."""
+    found = agents(config, folder, "epsilon-greedy")
+    if found is None:
+        return None
+    when, claimed = batches(found[0].crossings()), CLAIMED["epsilon-greedy"]
+    late = bootstrap_estimate(lambda i: float(np.quantile(when[i], 0.5, method="inverted_cdf")) - claimed, len(when))
+    beside = {"batches of 200 ticks": median(batches(found[0].crossings(), 200))}
+    return Measured(late, shifted(late.interval, claimed), found[0].records, beside)
+
+
+def quicker(claimed: float, folder: Path | None) -> Measured | None:
+    """Return how many times as many batches ε-greedy needs as Thompson sampling at the median, less what is claimed."""
+    found = agents("ours", folder, "thompson", "epsilon-greedy")
+    if found is None:
+        return None
+    fast, slow = (batches(curves.crossings()) for curves in paired(*found))
+
+    def ratio(indices: np.ndarray) -> float:
+        late, early = (np.quantile(x[indices], 0.5, method="inverted_cdf") for x in (slow, fast))
+        return (1.0 if late == early else float(late / early)) - claimed  # also where neither arrives
+
+    difference = bootstrap_estimate(ratio, len(slow))
+    beside = {}
+    for words, config in (("one world", "as-demo"), ("dropout where the text has it", "as-written")):
+        if together := agents(config, folder, "thompson", "epsilon-greedy"):
+            beside[words] = advantage({c.agent: c for c in together}, "thompson", "epsilon-greedy")
+    return Measured(difference, shifted(difference.interval, claimed), records_of(*found), beside)
+
+
+def gain(agent: str, folder: Path | None) -> Measured | None:
     """Return the mean reward over batches 1000-2000 from the burn-in minus that over 600-1000."""
-    start, middle, end = (BURN_IN + unit * count for count in (600, 1000, 2000))
-    return paired_difference(curves.mean(middle, end), curves.mean(start, middle))
+    found = agents("as-demo", folder, agent)
+    if found is None:
+        return None
+
+    def later(unit: int) -> np.ndarray:
+        start, middle, end = (BURN_IN + unit * count for count in (600, 1000, 2000))
+        return found[0].mean(middle, end) - found[0].mean(start, middle)
+
+    difference = mean_estimate(later(500))
+    return Measured(difference, difference.interval, found[0].records, {"batches of 200 ticks": t_interval(later(200))})
 
 
-def not_above(interval: Interval) -> Verdict:
-    """Judge whether something does not grow."""
-    if interval.n < MIN_REPETITIONS:
-        return "undecided"
-    return "replicated" if interval.low <= 0 else "not replicated"
+def late_moves(found: Pair) -> tuple[np.ndarray, ...]:
+    """Return the share of moves after batch 1000 that are not the best of the network without dropout, by agent."""
+    end = int(found[0].ticks[-1])
+    return tuple(curves.share("explored", BURN_IN + 1000 * BLOCK, end) for curves in paired(*found))
 
 
-@claim(
-    "EX4", "Section 5.3, third and fourth paragraph",
-    "The Thompson agent is the same network with dropout 0.1 before every weight layer, acting on one stochastic "
-    "forward pass.",
-    "the published program drops before as many weight layers; with the dropout of the text it reaches a reward of 1 "
-    "before epsilon-greedy (ratio above 1), and earns as much as with that of the program over ticks 15,500-50,000 "
-    "(interval of the difference holds 0)",
-)  # fmt: skip
-def ex4(loaded: Loaded) -> list[Part]:
+def random_moves(folder: Path | None) -> Measured | None:
+    """Return that share of Thompson sampling less that of ε-greedy."""
+    found = agents("as-demo", folder, "thompson", "epsilon-greedy")
+    if found is None:
+        return None
+    first, second = late_moves((found[0], found[1]))
+    difference = mean_estimate(first - second)
+    return Measured(difference, difference.interval, records_of(*found))
+
+
+def only_exploits(folder: Path | None) -> Measured | None:
+    """Return whether ε-greedy takes no other move than its best after batch 1000."""
+    found = agents("as-demo", folder, "thompson", "epsilon-greedy")
+    if found is None:
+        return None
+    share = t_interval(late_moves((found[0], found[1]))[1])
+    return Measured(audited(share.value == 0).difference, share, found[1].records)
+
+
+def everywhere(_: Path | None) -> Measured:
+    """Return whether the published program drops before every weight layer as the text says."""
     text, program = (CONFIGS[name].agents[0].drop for name in ("as-written", "as-demo"))
-    layers = Interval(float(np.count_nonzero(program)), np.nan, np.nan, MIN_REPETITIONS)
-    same: Verdict = "replicated" if program == text else "not replicated"
-    parts = [Part(f"weight layers with dropout in the program (thesis {len(text)})", layers, "", same)]
-    written, demo = loaded("as-written", "thompson", "epsilon-greedy"), loaded("as-demo", "thompson")
-    if written is None or demo is None:
-        return [*parts, missing("runs with the dropout of the text")]
-    effect = compare(written[0], demo[0], *BLOCKS[1])
-    ratio = advantage(pair(written), "thompson", "epsilon-greedy")
-    return [
-        *parts,
-        part("ε-greedy / Thompson as written", ratio, "", "positive", null=1.0),
-        Part("Thompson, as written - as in the program", effect, "reward", same_value(effect, 0.0)),
-    ]
+    return audited(program == text)
 
 
-@claim(
-    "EX5", "Section 5.3, Remark",
-    "Boltzmann exploration may beat Thompson sampling because it anneals; sampling from an annealed probability of a "
-    "Bayesian network would be interesting.",
-    "paired difference to Thompson sampling, in separate worlds, is above 0 early (up to tick 50,000) and late (from "
-    "90,500 on), for Boltzmann and for annealed Thompson",
-)  # fmt: skip
-def ex5(loaded: Loaded) -> list[Part]:
-    parts = []
-    for name, label in (("boltzmann", "Boltzmann"), ("annealed-thompson", "annealed Thompson")):
-        for when, ticks in (("early", EARLY), ("late", LATE)):
-            what = f"{label} - Thompson, {when}"
-            if found := loaded("ours", name, "thompson"):
-                parts.append(part(what, compare(found[0], found[1], *ticks), "reward", "positive"))
-            else:
-                parts.append(missing(what))
-    return parts
+# ------------------------------------------------------------------ agents held against each other
 
 
-@claim(
-    "EX6", "Section 5.3, second to fourth paragraph",
-    "Dropout avoids over-fitting, so that in practice one would use a larger network with it.",
-    "TD error on held-out minus that on learned transitions, over the second half of the run: larger in the wide than "
-    "in the narrow network, and smaller with dropout than without in the wide one; and with dropout the wide network "
-    "has a lower held-out TD error and earns more than the narrow one without",
-)  # fmt: skip
-def ex6(loaded: Loaded) -> list[Part]:
-    found = [loaded(name, "epsilon-greedy") for name in ("narrow", "wide", "wide-dropout")]
-    if None in found:
-        return [missing("networks of two widths, with and without dropout")]
-    narrow, wide, dropout = paired(*(curves[0] for curves in found if curves))
-    gaps = {name: held_out_gap(curves) for name, curves in (("narrow", narrow), ("wide", wide), ("dropout", dropout))}
-    rewards = [curves.later("reward") for curves in (dropout, narrow)]
-    errors = [curves.later("held_out_td_error") for curves in (dropout, narrow)]
-    return [
-        part("over-fitting, wide - narrow", paired_difference(gaps["wide"], gaps["narrow"]), "", "positive"),
-        part(
-            "over-fitting, wide with dropout - wide", paired_difference(gaps["dropout"], gaps["wide"]), "", "negative"
-        ),
-        part("held-out error, wide with dropout - narrow", paired_difference(*errors), "", "negative"),
-        part("reward, wide with dropout - narrow", paired_difference(*rewards), "reward", "positive"),
-    ]
+def reward(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured | None:
+    """Return the reward per move of one of our agents less that of another, paired by seed."""
+    found = agents("ours", folder, first, second)
+    if found is None:
+        return None
+    one, two = paired(*found)
+    difference = mean_estimate(one.mean(*ticks) - two.mean(*ticks))
+    return Measured(difference, difference.interval, records_of(*found))
 
 
-CLAIMS: list[Claim] = [ex1, ex2, ex3, ex4, ex5, ex6]
+def widths(quantity: Callable[[Curves], np.ndarray], first: str, second: str, folder: Path | None) -> Measured | None:
+    """Return a quantity of one network less that of another (configs "narrow", "wide", "wide-dropout")."""
+    found = [agents(name, folder, "epsilon-greedy") for name in (first, second)]
+    if found[0] is None or found[1] is None:
+        return None
+    one, two = paired(found[0][0], found[1][0])
+    difference = mean_estimate(quantity(one) - quantity(two))
+    return Measured(difference, difference.interval, records_of(found[0][0], found[1][0]))
+
+
+def contrast(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured | None:
+    """Return the reward per move of one agent of the two-by-two family less that of another."""
+    found = [next(iter(load(f"two-by-two/{name}", folder).values()), None) for name in (first, second)]
+    if found[0] is None or found[1] is None:
+        return None
+    one, two = paired(found[0], found[1])
+    difference = mean_estimate(one.mean(*ticks, "reward") - two.mean(*ticks, "reward"))
+    return Measured(difference, difference.interval, records_of(found[0], found[1]))
+
+
+def deeper(other: str, folder: Path | None) -> Measured | None:
+    """Return the share of seas of size 10 that a draw held for an episode solves, less that of another agent."""
+    dives = deep_sea.load(folder)
+    one, two = (dives.get((name, 10)) for name in ("dropout-per-episode", other))
+    if one is None or two is None:
+        return None
+    difference = difference_of_shares(one.within(), two.within())
+    return Measured(difference, difference.interval, [*one.records, *two.records])
+
+
+# ------------------------------------------------------------------ the list
+
+TEXT, FOOTNOTE, REMARK = "Section 5.3, text to Figure 5.4", "Section 5.3, footnote 4", "Section 5.3, Remark"
+STADIE = "runs on the Atari games of Stadie et al. (2015), out of reach here; the thesis quotes the counts"
+
+
+def stated(
+    identifier: str, text: str, where: str, kind: Kind, margin: float,
+    measure: Callable[[Path | None], Measured | None], unit: str = "reward", thesis: float | None = None,
+) -> Statement:  # fmt: skip
+    """Return a statement of the chapter."""
+    return Statement(identifier, text, where, kind, margin, CHAPTER, measure, unit=unit, thesis=thesis)
+
+
+def cut(
+    identifier: str, text: str, where: str, first: str, second: str, ticks: tuple[int, int] = EARLY, *,
+    kind: Kind = "more", primary: bool = False,
+) -> Statement:  # fmt: skip
+    """Return a statement about two agents that differ in how they learn, or act, or for how long they hold a draw."""
+    return Statement(
+        identifier, text, where, kind, MARGIN, TWO_BY_TWO, partial(contrast, first, second, ticks), unit="reward",
+        primary=primary, would_test="20 runs of both agents in worlds of their own",
+    )  # fmt: skip
+
+
+def dived(identifier: str, text: str, other: str, *, primary: bool = False) -> Statement:
+    """Return a statement about the agent that holds a draw for an episode and another one, in Deep Sea."""
+    return Statement(
+        identifier, text, "Section 5.3, first paragraph", "more", MARGIN_SHARE, TWO_BY_TWO, partial(deeper, other),
+        unit="share", primary=primary, would_test="20 runs of both agents in Deep Sea of size 10, 2,000 episodes each",
+    )  # fmt: skip
+
+
+def quoted(identifier: str, text: str) -> Statement:
+    """Return a statement about counts that the thesis quotes from Stadie et al. (2015)."""
+    return Statement(identifier, text, REMARK, "more", 0.0, CHAPTER, nothing, unit="games", would_test=STADIE)
+
+
+STATEMENTS: list[Statement] = [
+    stated("EX1a", "By batch 25 more than half of the runs of Thompson sampling have reached a reward of 1.", TEXT,
+           "more", MARGIN_SHARE, partial(touched, "ours"), "share", 0.5),
+    stated("EX1b", "At batch 25 the mean curve of Thompson sampling is above 1.", TEXT, "more", MARGIN,
+           partial(height, "ours"), thesis=TARGET),
+    stated("EX1c", "EX1a with both agents in one world, as in the original program.", TEXT, "more", MARGIN_SHARE,
+           partial(touched, "as-demo"), "share", 0.5),
+    stated("EX1d", "EX1b with both agents in one world.", TEXT, "more", MARGIN, partial(height, "as-demo"),
+           thesis=TARGET),
+    *(
+        stated(identifier, f"ε-greedy takes 175 batches to a reward of 1{words}.", TEXT, "value",
+               NEAR * CLAIMED["epsilon-greedy"], partial(arrival, config), "batches", CLAIMED["epsilon-greedy"])
+        for identifier, words, config in (("EX2a", "", "ours"), ("EX2b", ", both agents in one world", "as-demo"))
+    ),
+    stated("EX2c", "ε-greedy takes seven times as many batches as Thompson sampling.", TEXT, "value", NEAR * 7,
+           partial(quicker, 7.0), "times", 7.0),
+    stated("EX2d", "Thompson sampling is the quicker of the two.", "Section 5.3, second paragraph", "more", NEAR,
+           partial(quicker, 1.0), "times", 1.0),
+    stated("EX3a", "Thompson sampling stops improving after 1000 batches.", FOOTNOTE, "equality", MARGIN,
+           partial(gain, "thompson")),
+    stated("EX3b", "ε-greedy goes on improving after 1000 batches.", FOOTNOTE, "more", MARGIN,
+           partial(gain, "epsilon-greedy")),
+    cut("EX3c", "That is because Thompson sampling still draws: with masks off while acting it earns more late.",
+        FOOTNOTE, "masks-off-late", "dropout-draw", (100_000, 200_000)),
+    stated("EX3d", "After 1000 batches Thompson sampling leaves its best move more often than ε-greedy.", FOOTNOTE,
+           "more", MARGIN_SHARE, random_moves, "share"),
+    Statement("EX3e", "ε-greedy only exploits after 1000 batches.", FOOTNOTE, "audit", 0.0, CHAPTER, only_exploits),
+    Statement("EX4", "In the published program dropout stands before every weight layer.",
+              "Section 5.3, third paragraph", "audit", 0.0, CHAPTER, everywhere),
+    *(
+        stated(f"EX5{letter}", f"{words} earns more than Thompson sampling, {when}.", REMARK, "more", MARGIN,
+               partial(reward, policy, "thompson", ticks))
+        for letter, words, policy, when, ticks in (
+            ("a", "Boltzmann exploration", "boltzmann", "early", EARLY),
+            ("b", "Boltzmann exploration", "boltzmann", "late", LATE),
+            ("c", "Annealed Thompson sampling", "annealed-thompson", "early", EARLY),
+            ("d", "Annealed Thompson sampling", "annealed-thompson", "late", LATE),
+        )
+    ),
+    stated("EX6a", "The wide network over-fits more than the narrow one.", "Section 5.3, third paragraph", "more",
+           MARGIN_TD, partial(widths, held_out_gap, "wide", "narrow"), "squared TD error"),
+    stated("EX6b", "Dropout lowers the over-fitting of the wide network.", "Section 5.3, second paragraph", "less",
+           MARGIN_TD, partial(widths, held_out_gap, "wide-dropout", "wide"), "squared TD error"),
+    stated("EX6c", "The wide network with dropout earns more than the narrow one without.",
+           "Section 5.3, third paragraph", "more", MARGIN,
+           partial(widths, lambda c: c.later("reward"), "wide-dropout", "narrow")),
+    cut("EX7a", "An agent that acts on a draw of its weights earns more than one that acts on their mean.", TEXT,
+        "dropout-draw", "dropout-mean", primary=True),
+    cut("EX7b", "An agent that learns with dropout earns more than one that learns without.", TEXT,
+        "dropout-mean", "plain-mean", primary=True),
+    cut("EX7c", "Acting on a draw helps an agent that learned without dropout.", TEXT, "plain-draw", "plain-mean"),
+    cut("EX7d", "The thesis's agent earns more than one with neither.", TEXT, "dropout-draw", "plain-mean"),
+    cut("EX7e", "It earns more than ε-greedy, ticks 3,000 to 50,000.", TEXT, "dropout-draw", "epsilon-greedy"),
+    cut("EX7f", "It earns more than ε-greedy whose schedule is ten times shorter.", TEXT, "dropout-draw",
+        "epsilon-greedy-short"),
+    *(
+        cut(f"EX7{letter}", f"A draw held for {ticks:,} ticks earns more than one drawn anew at every tick.", TEXT,
+            f"hold-{ticks}", "dropout-draw")
+        for letter, ticks in zip("ghi", (10, 100, 1000), strict=True)
+    ),
+    quoted("EX8a", "On Atari, Thompson sampling beats DQN's score on more games (7) than it loses (6)."),
+    quoted("EX8b", "On Atari, it learns faster than DQN on more games (8) than not (5), by area under the curve."),
+    quoted("EX8c", "On Atari, Boltzmann exploration beats Thompson sampling's score on more games (8) than not (4)."),
+    quoted("EX8d", "On Atari, it learns faster than Thompson sampling on more games (9) than not (3)."),
+    dived("EX9", "Uncertainty tells an agent when to explore: where reward is deep, an agent that holds a draw of its "
+          "weights for an episode finds it more often than ε-greedy.", "epsilon-greedy", primary=True),
+    dived("EX9b", "There a draw held for an episode finds it more often than a draw per move.", "dropout-per-move"),
+]  # fmt: skip

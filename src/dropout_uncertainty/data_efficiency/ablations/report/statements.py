@@ -1,213 +1,105 @@
-"""Claims about what makes Deep PILCO work, as code: quantity, rule, verdict.
+"""The statements of section 5.4 about what makes Deep PILCO work: what the thesis says, and how it is judged."""
 
-The rules were fixed before any published seed of the variants, of the mechanism and of the times was run.
-"""
-
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from dropout_uncertainty.data_efficiency.ablations.report import analysis as matters
-from dropout_uncertainty.data_efficiency.ablations.report.analysis import NOMINAL, Inside
-from dropout_uncertainty.data_efficiency.ablations.variants import TRIALS, VARIANTS
+from dropout_uncertainty.bayes import weight_decay
+from dropout_uncertainty.data_efficiency.ablations.report.analysis import (
+    NOMINAL,
+    Inside,
+    compare,
+    coverage_of_pilco,
+    inside,
+    times,
+)
 from dropout_uncertainty.data_efficiency.report import analysis
-from dropout_uncertainty.judging.results import MIN_REPETITIONS, Claim, Part, Sign, Verdict, direction, missing
-from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, t_interval
+from dropout_uncertainty.data_efficiency.report.statements import MARGIN_COST, MARGIN_SHARE, cost_of_learning
+from dropout_uncertainty.data_efficiency.report.statements import stated as of_section
+from dropout_uncertainty.judging.results import printed
+from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, audited, shifted
+from dropout_uncertainty.stats import mean_estimate
 
-__all__ = ["CLAIMS", "MARGIN", "at_most", "near"]
+__all__ = ["SENSITIVITY", "STATEMENTS"]
 
-Found = tuple[list[Part], list[Record]]
-#: An exponent this far from a claimed one still counts as that: doubling a size then takes 19 % more or less time.
-MARGIN = 0.25
-SOLVED = f"share of repetitions solved by trial {TRIALS}"
-
-
-def near(interval: Interval, value: float) -> Verdict:
-    """Judge whether an exponent is the claimed one: its whole interval, a part of it, or none is within ``MARGIN``."""
-    if interval.n < MIN_REPETITIONS:
-        return "undecided"
-    if interval.high < value - MARGIN or interval.low > value + MARGIN:
-        return "not replicated"
-    return "replicated" if interval.low >= value - MARGIN and interval.high <= value + MARGIN else "partly"
+stated = partial(of_section, chapter="5_4_what_matters")
+#: Margins: of logarithms of standard deviations and variances, and of exponents.
+MARGIN_LOG, MARGIN_EXPONENT = math.log(1.1), 0.25
 
 
-def at_most(interval: Interval, value: float) -> Verdict:
-    """Judge whether an exponent is no larger than the claimed one by more than ``MARGIN``."""
-    if interval.n < MIN_REPETITIONS:
-        return "undecided"
-    if interval.low > value + MARGIN:
-        return "not replicated"
-    return "replicated" if interval.high <= value + MARGIN else "partly"
+def measured(values: np.ndarray, records: tuple, claimed: float = 0.0) -> Measured:
+    """Return the mean of a value per repetition, less what is claimed."""
+    difference = mean_estimate(values - claimed)
+    return Measured(difference, shifted(difference.interval, claimed), records)
 
 
-def claim(identifier: str, where: str, text: str, rule: str) -> Callable[[Callable[[Path | None], Found]], Claim]:
-    """Turn a function from a records folder to parts and their records into a claim."""
-    return lambda function: Claim(identifier, text, where, rule, "5_4_what_matters", function)
+def dearer(first: str, second: str | None, folder: Path | None) -> Measured | None:
+    """Return the cost of learning of a variant less that of another, or of `OURS`; over the trials that both have."""
+    pair = compare(first, folder, second)
+    if pair is None:
+        return None
+    return measured(
+        cost_of_learning(pair.first) - cost_of_learning(pair.second), pair.first.records + pair.second.records
+    )
 
 
-def worse(name: str, folder: Path | None, against: str | None = None) -> Found:
-    """Return the part that a variant solves the task less often than `OURS`, or than another variant."""
-    other = VARIANTS[against].words if against else "ours"
-    what = f"{SOLVED}, {VARIANTS[name].words} - {other}"
-    comparison = matters.compare(name, folder, against)
-    if comparison is None:
-        return [missing(what)], []
-    difference = comparison.solved_difference
-    made = [record for x in (comparison.first, comparison.second) for record in x.records]
-    return [Part(what, difference, "", direction(difference, expected="negative"))], made
+def matching(folder: Path | None) -> Measured | None:
+    """Return the cost of learning of `OURS` less that without moment matching."""
+    pair = compare("matching-off", folder)
+    if pair is None:
+        return None
+    return measured(
+        cost_of_learning(pair.second) - cost_of_learning(pair.first), pair.first.records + pair.second.records
+    )
 
 
-def measurements(folder: Path | None, *rows: tuple[str, Sign, Callable[[Inside], np.ndarray]]) -> Found:
-    """Return the parts that rest on the mechanism: what, expected sign, and a value per repetition."""
-    seen = matters.inside(folder)
-    if seen is None:
-        return [missing(what) for what, *_ in rows], []
-    parts = []
-    for what, sign, values in rows:
-        interval = t_interval(values(seen))
-        parts.append(Part(what, interval, "", direction(interval, expected=sign)))
-    return parts, list(seen.records)
+def seen(quantity: Callable[[Inside], np.ndarray], folder: Path | None) -> Measured | None:
+    """Return what was seen inside the learner `OURS` while it learned."""
+    found = inside(folder)
+    return measured(quantity(found), found.records) if found else None
 
 
-def joined(found: Sequence[Found]) -> Found:
-    """Return all parts and all records."""
-    return [part for parts, _ in found for part in parts], [record for _, made in found for record in made]
+def coverage(folder: Path | None) -> Measured | None:
+    """Return the share of true states within two standard deviations of PILCO's prediction, less the normal one."""
+    pilco, found = analysis.load("pilco-paper", folder), inside(folder)
+    if pilco is None or found is None:
+        return None
+    return measured(coverage_of_pilco(pilco, found.measured), pilco.records, NOMINAL)
 
 
-@claim(
-    "DE4", "Section 5.4.2",
-    "Matching moments at every step is crucial: it penalises policies whose trajectories part, and smooths the "
-    "gradient.",
-    f"the {SOLVED} is smaller without matching than with that of all dimensions (ours) and of each alone (thesis); the "
-    "further free particles part, the more the cost rises when a Gaussian is put in their place (rank correlation "
-    "over trials and steps positive); the policy gradient of a whole trial varies more over draws without matching",
-)  # fmt: skip
-def de4(folder: Path | None) -> Found:
-    return joined([
-        worse("matching-off", folder),
-        worse("matching-off", folder, "matching-diagonal"),
-        measurements(
-            folder,
-            ("rank correlation of parting and penalty", "positive", lambda seen: seen.penalty_correlation),
-            ("log variance of the gradient, without matching - with", "positive",
-             lambda seen: seen.log_gradient_ratio("off", "full")),
-        ),
-    ])  # fmt: skip
+def exponent(method: str, axis: str, claimed: float, folder: Path | None) -> Measured | None:
+    """Return the exponent of the time per trial in a size, less the claimed one."""
+    taken = times(folder)
+    return measured(taken.exponents(method, axis), taken.records, claimed) if taken else None
 
 
-@claim(
-    "DE5", "Section 5.4.2",
-    "Fresh particles and masks at every step of Adam work, while fixed ones with BFGS get stuck in local optima.",
-    f"with fresh particles and Adam the {SOLVED} is above one half, with fixed ones and as many line searches of BFGS "
-    "it is smaller; from the same controller and model BFGS ends at a higher objective on fresh particles than Adam, "
-    "and fresh particles cost its controllers more than those it was given. The bias of the objective at few particles "
-    "is shown, and not judged",
-)  # fmt: skip
-def de5(folder: Path | None) -> Found:
-    ours = matters.baseline(folder)
-    if ours is None:
-        works: Found = [missing(f"{SOLVED}, ours")], []
-    else:
-        share = ours.solved_by(TRIALS)
-        part = Part(f"{SOLVED}, ours", share, "", direction(share, expected="positive", null=0.5))
-        works = [part], list(ours.records)
-    return joined([
-        works,
-        worse("particles-fixed-bfgs", folder),
-        measurements(
-            folder,
-            ("objective reached, fixed particles and BFGS - fresh and Adam", "positive",
-             lambda seen: seen.behind("fixed-bfgs")),
-            ("objective of BFGS, fresh particles - those it was given", "positive",
-             lambda seen: seen.optimism("fixed-bfgs")),
-        ),
-    ])  # fmt: skip
+def half_belongs(_: Path | None) -> Measured:
+    """Return whether the decay of equation 3.14 gives the most probable weight beside half the mean squared error.
+
+    One weight w of a linear model y = w with N points has it at sum(y) / (N + l² / τ). The minimum of
+    c · mean squared error + λ w² is at sum(y) / (N + N λ / c).
+    """
+    n, length_scale, precision = 10, 2.0, 4.0
+    wanted = length_scale**2 / precision
+    shrinks = {c: n * weight_decay(n, 0.0, length_scale, precision) / c for c in (0.5, 1.0)}
+    return audited(math.isclose(shrinks[0.5], wanted) and not math.isclose(shrinks[1.0], wanted))
 
 
-@claim(
-    "DE6", "Section 5.4.2",
-    "Without the correlation of the model's error over time uncertainty about the future is too small; one weight "
-    "draw per trajectory repairs it.",
-    "in the later half of the predicted trial, standard deviations with masks held exceed those with masks redrawn at "
-    "each step, without matching and with it (algorithm 4); true states are within two standard deviations less often "
-    f"than the normal {NOMINAL:.1%} if masks are redrawn, and in PILCO; more often if they are held (algorithm 4) than "
-    "if they are redrawn",
-)  # fmt: skip
-def de6(folder: Path | None) -> Found:
-    seen = matters.inside(folder)
-    pilco = analysis.load("pilco-paper", folder)
-    what = f"coverage of PILCO's prediction - {NOMINAL:.3f}"
-    if pilco is None or seen is None:
-        of_pilco: Found = [missing(what)], []
-    else:
-        short = t_interval(matters.coverage_of_pilco(pilco, seen.measured) - NOMINAL)
-        of_pilco = [Part(what, short, "", direction(short, expected="negative"))], list(pilco.records)
-    return joined([
-        measurements(
-            folder,
-            ("log predicted std, masks held - redrawn, without matching", "positive",
-             lambda seen: seen.log_std_ratio("held-free", "redrawn-free")),
-            ("log predicted std, masks held - redrawn, with matching", "positive",
-             lambda seen: seen.log_std_ratio("held-matched", "redrawn-matched")),
-            (f"coverage with masks redrawn and matching - {NOMINAL:.3f}", "negative",
-             lambda seen: seen.coverage("redrawn-matched") - NOMINAL),
-            ("coverage with matching, masks held - redrawn", "positive",
-             lambda seen: seen.coverage("held-matched") - seen.coverage("redrawn-matched")),
-        ),
-        of_pilco,
-    ])  # fmt: skip
-
-
-@claim(
-    "DE7", "Section 5.4.1",
-    "It is the uncertainty of the dynamics model that makes the learner data-efficient.",
-    "the same learner needs more trials until it solves the task (not solved counts one more than there are) if its "
-    "network has no dropout, and if the network is trained with dropout but the controller is improved on its mean",
-)  # fmt: skip
-def de7(folder: Path | None) -> Found:
-    parts, made = [], []
-    for name in ("no-dropout", "mean-network"):
-        what = f"trials to solve, {VARIANTS[name].words} - ours"
-        comparison = matters.compare(name, folder)
-        if comparison is None:
-            parts.append(missing(what))
-        else:
-            difference = comparison.trials_difference
-            parts.append(Part(what, difference, "trials", direction(difference, expected="positive")))
-            made += [record for x in (comparison.first, comparison.second) for record in x.records]
-    return parts, made
-
-
-@claim(
-    "DE8", "Sections 5.4 and 5.4.3",
-    "Deep PILCO's time per trial does not grow with the number of trials and is linear in the dimensions; PILCO's "
-    "grows with the square of both.",
-    "exponents of the CPU time per trial over the larger half of the sizes: PILCO's in transitions, inputs and "
-    f"outputs are 2, with their whole intervals within {MARGIN}; Deep PILCO's, as algorithm 4 has it, are at most 0 in "
-    f"transitions and at most 1 in inputs and outputs, give or take {MARGIN}, for a bound is what is claimed",
-)  # fmt: skip
-def de8(folder: Path | None) -> Found:
-    rows = (
-        ("PILCO", "pilco", "transitions", near, 2.0), ("PILCO", "pilco", "inputs", near, 2.0),
-        ("PILCO", "pilco", "outputs", near, 2.0),
-        ("Deep PILCO", "deep-pilco-diagonal", "transitions", at_most, 0.0),
-        ("Deep PILCO", "deep-pilco-diagonal", "inputs", at_most, 1.0),
-        ("Deep PILCO", "deep-pilco-diagonal", "outputs", at_most, 1.0),
-    )  # fmt: skip
-    taken, parts = matters.times(folder), []
-    for words, method, axis, judge, claimed in rows:
-        what = f"{words}, exponent of the number of {axis} (thesis {claimed:g})"
-        if taken is None:
-            parts.append(missing(what))
-        else:
-            interval = t_interval(taken.exponents(method, axis))
-            parts.append(Part(what, interval, "", judge(interval, claimed)))
-    return parts, list(taken.records) if taken else []
-
-
-#: Hyper-parameters that DE10 is judged by, and the variants that change them.
+CRUCIAL, FRESH, HELD = (f"Section 5.4.2, {place}" for place in ("steps 10-11", "resampling", "sampling functions"))
+TIME = "Section 5.4.3, run time"
+LEARNERS = {"pilco": "PILCO", "deep-pilco-diagonal": "Deep PILCO"}
+#: Exponents of the time per trial: method, size, and what the thesis says.
+EXPONENTS = [
+    ("pilco", "transitions", 2.0), ("pilco", "inputs", 2.0), ("pilco", "outputs", 2.0),
+    ("deep-pilco-diagonal", "transitions", 0.0), ("deep-pilco-diagonal", "inputs", 1.0),
+    ("deep-pilco-diagonal", "outputs", 1.0),
+]  # fmt: skip
+#: Of 40 trials of PILCO by those of Deep PILCO.
+HOURS = printed("figure-5.7/pilco/hours-40-trials") / printed("figure-5.7/deep-pilco/hours-40-trials")
+#: Hyper-parameters that DE10 is about, and the variants that change them.
 SENSITIVITY = {
     "dropout probability": ("dropout-half", "dropout-twice"),
     "length-scale": ("length-scale-half", "length-scale-twice"),
@@ -215,28 +107,56 @@ SENSITIVITY = {
     "controller's learning rate": ("policy-rate-half", "policy-rate-twice"),
     "number of particles": ("particles-third",),
 }
+CHANGED = {"half": "halved", "twice": "doubled", "third": "cut to a third"}
+CHANGES = [(words, name) for words, names in SENSITIVITY.items() for name in names]
 
-
-@claim(
-    "DE10", "Section 5.4.2",
-    "Few hyper-parameters need tuning.",
-    f"the {SOLVED} is above one half when dropout probability, length-scale or a learning rate is halved or doubled "
-    "(the worse of both counts), and with a third of the particles. First weights, the guard and what public ports "
-    "do otherwise are shown, and not judged",
-)  # fmt: skip
-def de10(folder: Path | None) -> Found:
-    parts, made = [], []
-    for words, names in SENSITIVITY.items():
-        what = f"{SOLVED}, {words} changed"
-        found = [matters.compare(name, folder) for name in names]
-        known = [comparison for comparison in found if comparison is not None]
-        if len(known) < len(names):
-            parts.append(missing(what))
-            continue
-        worst = min((comparison.solved for comparison in known), key=lambda share: share.value)
-        parts.append(Part(what, worst, "", direction(worst, expected="positive", null=0.5)))
-        made += [record for comparison in known for record in comparison.first.records]
-    return parts, made
-
-
-CLAIMS: list[Claim] = [de4, de5, de6, de7, de8, de10]
+STATEMENTS: list[Statement] = [
+    stated("DE4a", "Moment matching, of all dimensions together, makes learning cheaper.", CRUCIAL, "less", MARGIN_COST,
+           matching, unit="cost per step", primary=True),
+    stated("DE4b", "It penalises predictions that part: there a Gaussian adds more to the cost (rank correlation).",
+           CRUCIAL, "more", MARGIN_SHARE, partial(seen, lambda x: x.penalty_correlation)),
+    stated("DE4c", "It smooths the gradient: without it the gradient varies more over draws (log of variances).",
+           CRUCIAL, "more", MARGIN_LOG, partial(seen, lambda x: x.log_gradient_ratio("off", "full"))),
+    stated("DE4d", "Matching of each dimension by itself, as in Algorithm 4, makes learning cheaper.", CRUCIAL, "less",
+           MARGIN_COST, partial(dearer, "matching-diagonal", "matching-off"), unit="cost per step"),
+    stated("DE4e", "Matching of each dimension by itself penalises predictions that part.", CRUCIAL, "more",
+           MARGIN_SHARE, would_test="the cost that a Gaussian of each dimension adds; that of a full one was measured"),
+    stated("DE4f", "Matching of each dimension by itself smooths the gradient (log of variances).", CRUCIAL, "more",
+           MARGIN_LOG, partial(seen, lambda x: x.log_gradient_ratio("off", "diagonal"))),
+    stated("DE5a", "Few fresh particles estimate the objective without bias: 30, with full matching, against 100.",
+           FRESH, "equality", MARGIN_COST, partial(seen, lambda x: x.bias("full")[:, list(x.counts).index(30)]),
+           unit="cost per step"),
+    stated("DE5b", "Fixed particles with BFGS end at a higher objective than fresh ones with Adam.", FRESH, "more",
+           MARGIN_COST, partial(seen, lambda x: x.behind("fixed-bfgs")), unit="cost per step"),
+    stated("DE5c", "Fixed particles with BFGS fail with PILCO's own Gaussian process.", FRESH, "more", MARGIN_COST,
+           unit="cost per step", would_test="particles through PILCO's model, fixed with BFGS and fresh with Adam"),
+    stated("DE5d", "A search on fixed particles promises less cost than fresh ones have.", FRESH, "more", MARGIN_COST,
+           partial(seen, lambda x: x.optimism("fixed-bfgs")), unit="cost per step"),
+    stated("DE6a", "PILCO's predictions are too sure: true states leave two standard deviations too often.", HELD,
+           "less", MARGIN_SHARE, coverage, unit="share", thesis=round(NOMINAL, 3)),
+    stated("DE6b", "Free particles spread more with masks held than redrawn (log of standard deviations).", HELD,
+           "more", MARGIN_LOG, partial(seen, lambda x: x.log_std_ratio("held-free", "redrawn-free"))),
+    stated("DE6c", "Matched ones, all dimensions together, spread more with masks held than redrawn.", HELD, "more",
+           MARGIN_LOG, partial(seen, lambda x: x.log_std_ratio("held-matched", "redrawn-matched"))),
+    stated("DE6d", "Matched ones, each dimension by itself, spread more with masks held than redrawn.", HELD, "more",
+           MARGIN_LOG, would_test="the same predictions with matching of each dimension by itself"),
+    *(
+        stated(f"DE8{letter}", f"{LEARNERS[method]}'s time per trial goes with the power {claimed:g} of the number of "
+               f"{axis}.", TIME, "value", MARGIN_EXPONENT, partial(exponent, method, axis, claimed), unit="exponent",
+               thesis=claimed)
+        for letter, (method, axis, claimed) in zip("abcdef", EXPONENTS, strict=True)
+    ),
+    stated("DE8g", "40 trials of PILCO take as much longer than those of Deep PILCO as the printed hours say.", TIME,
+           "value", NEAR * HOURS, unit="times", thesis=round(HOURS, 2),
+           would_test="five runs of 40 trials of PILCO, of which one is stored, on the machine that runs Deep PILCO"),
+    stated("DE8h", "Deep PILCO's time grows linearly with the number of trials.", "Section 5.4", "value",
+           MARGIN_EXPONENT, partial(exponent, "deep-pilco-diagonal", "transitions", 1.0), unit="exponent", thesis=1.0),
+    *(
+        stated(f"DE10{letter}", f"Deep PILCO's learning costs the same with the {words} "
+               f"{CHANGED[name.rpartition('-')[2]]}.", "Section 5.4.2",
+               "equality", MARGIN_COST, partial(dearer, name, None), unit="cost per step")
+        for letter, (words, name) in zip("abcdefghi", CHANGES, strict=True)
+    ),
+    stated("DE12", "Equation 3.14's weight decay belongs beside half the mean squared error.", "Equation 3.14", "audit",
+           0.0, half_belongs),
+]  # fmt: skip
