@@ -86,7 +86,6 @@ def test_resumed_equals_uninterrupted(process, row):
         ({"subset": 2, "acquisition": "random"}, [20, 23, 26, 29], None),
         ({"random_from": 5}, [20, 23, 25], "only 2 points are left in the pool, asked for 3"),
         ({"random_from": 2, "replacement": True}, [20, 22, 24, 26], "only 2 points are left"),
-        ({"pool": 0}, [20], None),
     ],
 )
 @pytest.mark.filterwarnings("always")

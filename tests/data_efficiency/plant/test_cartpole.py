@@ -170,7 +170,7 @@ def test_forces_that_fit_no_state_are_named(shape):
     [
         ({"start_mean": (0.0, 0.0, 0.0, 180.0)}, "is it in degrees?"),
         ({"pole_length": 0.0}, "positive lengths"),
-        ({"dt": math.nan}, "positive lengths"),
+        ({"dt": math.nan}, "dt must be a finite number"),
         ({"start_std": -0.1}, "no negative"),
         ({"steps": 0}, "a step or more"),
         ({"solved_steps": 0}, "a step or more"),  # would be judged on all steps

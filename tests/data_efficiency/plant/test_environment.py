@@ -17,7 +17,7 @@ def test_without_gymnasium_the_error_says_what_to_install(monkeypatch):
     name = "dropout_uncertainty.data_efficiency.plant.environment"
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     monkeypatch.delitem(sys.modules, name, raising=False)
-    with pytest.raises(UserError, match="pip install gymnasium"):
+    with pytest.raises(UserError, match="pip install 'gymnasium"):
         __import__(name)
     monkeypatch.delitem(sys.modules, name, raising=False)
 
