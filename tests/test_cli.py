@@ -34,6 +34,8 @@ def command(*arguments, **options):
         (["run", "exploration", "--config", "wide", "--seeds", "100", "--precision", "bfloat16"], "float32 or float64"),
         (["run", "data-efficiency", "--config", "pilco-paper", "--seeds", "100", "--precision", "float32"], "runs in"),
         (["run", "exploration", "--config", "wide", "--seeds", "0-99999999999"], "at most 100,000 seeds"),
+        (["run", "exploration", "--config", "wide", "--seeds", "0-999999999999999999"], "at most 100,000 seeds"),
+        (["run", "exploration", "--config", "wide", "--seeds", 5000 * "9"], "seeds are given like"),
         (["book", "--profile", "fast"], "unknown profile 'fast'"),
     ],
 )

@@ -157,3 +157,17 @@ def test_a_profile_that_is_none(profile):
 
 def test_the_version_is_printed():
     assert command("--version").stdout.strip() == dropout_uncertainty.__version__
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["records", "list"], "there is no folder {name} of records"),
+        (["run", "exploration", "--config", "wide", "--seeds", "100"], "cannot tell where the folder {name} is"),
+    ],
+)
+def test_a_name_that_leads_nowhere(arguments, message):
+    name = "~nobody-of-this-name/records"
+    outcome = command(*arguments, env={**os.environ, "DROPOUT_UNCERTAINTY_RECORDS": name})
+    assert (outcome.returncode, outcome.stdout) == (2, "")
+    assert outcome.stderr.startswith(f"error: {message.format(name=name)}")

@@ -32,6 +32,16 @@ def test_bad_seeds_are_refused(seed):
         rng.generator(seed)
 
 
+def test_seeds_of_replicas_are_made_plain():
+    for given in (np.arange(3), range(3), iter([0, 1, 2]), torch.arange(3), (np.uint8(0), 1, 2)):
+        plain = rng.check_seeds(given)
+        assert plain == (0, 1, 2)
+        assert {type(seed) for seed in plain} == {int}
+    for wrong in (5, [], [0, 0], [-1], [1.0], [True], ["1"], None):
+        with pytest.raises((ValueError, TypeError), match="seed"):
+            rng.check_seeds(wrong)
+
+
 def test_integers_of_numpy_name_the_same_streams():
     mine, theirs = rng.generator(100, "step", 3), rng.generator(np.int64(100), "step", np.int32(3))
     assert mine.initial_seed() == theirs.initial_seed() == rng.derived(100, "step", 3)

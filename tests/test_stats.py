@@ -41,6 +41,25 @@ def test_bootstrap_interval_covers_the_mean_as_often_as_it_says():
     assert 85 <= hits <= 99
 
 
+@pytest.mark.parametrize("width", [1, 5])
+def test_all_resamples_at_once_give_the_numbers_of_one_by_one(width):
+    curves = np.random.default_rng(100).normal(5.2, 0.3, (6, 40))
+
+    def crossing(i):
+        return stats.first_crossing(stats.median_filter(curves[i].mean(0), width), 5.0)
+
+    assert stats.bootstrap_interval(crossing, 6) == stats.crossing_interval(curves, 5.0, width=width)
+    first = np.array([3.0, np.inf, 1, 2, 2])
+    assert stats.median_interval(first) == stats.bootstrap_interval(lambda i: np.sort(first[i])[2], 5)
+    pair, plain = ((lambda i, j, axis=axis: curves[i, 0].mean(axis) - curves[j, 1].mean(axis)) for axis in (-1, None))
+    assert stats.bootstrap_estimate(pair, 6, 5, vectorized=True) == stats.bootstrap_estimate(plain, 6, 5)
+
+
+def test_a_statistic_that_mixes_resamples_is_refused():
+    with pytest.raises(ValueError, match="one number per resample, 2000 in all, got shape \\(\\)"):
+        stats.bootstrap_interval(lambda i: i.mean(), 4, vectorized=True)
+
+
 def test_paired_samples_must_pair_up():
     with pytest.raises(ValueError, match="one value per seed"):
         stats.paired_difference([1.0, 2.0], [1.0, 2.0, 3.0])

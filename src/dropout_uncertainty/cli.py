@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dropout_uncertainty import __version__, folders, stopping
+import dropout_uncertainty
+from dropout_uncertainty import folders, stopping
 from dropout_uncertainty.errors import UserError
 
 if TYPE_CHECKING:  # PyTorch takes seconds to import, which `--help` need not wait for
@@ -26,7 +27,10 @@ __all__ = ["EXPERIMENTS", "app", "main"]
 #: Experiments by name, and the modules that hold their configs and units.
 EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "active_learning": ("dropout_uncertainty.active_learning.experiment",),
-    "exploration": ("dropout_uncertainty.exploration.experiment",),
+    "exploration": (
+        "dropout_uncertainty.exploration.experiment",
+        "dropout_uncertainty.exploration.deep_sea.experiment",
+    ),
     "data_efficiency": ("dropout_uncertainty.data_efficiency.configs",),
 }
 #: Seeds of one command.
@@ -42,7 +46,7 @@ app.add_typer(record_commands, name="records")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(__version__)
+        typer.echo(dropout_uncertainty.__version__)
         raise typer.Exit
 
 
@@ -98,7 +102,7 @@ def run(
 ) -> None:
     """Compute the missing records of an experiment; a run that was stopped continues where it was."""
     from dropout_uncertainty.runs import execute, executors, records
-    from dropout_uncertainty.runs.unit import PRECISIONS, check_device
+    from dropout_uncertainty.runs.unit import PRECISIONS, Unit, check_device
 
     folders.create(records.root())
     any_device = device == "auto"
@@ -153,7 +157,7 @@ def list_records() -> None:
 @record_commands.command("verify")
 def verify_records(
     recompute: Annotated[int, typer.Option(help="units of each section to recompute, drawn at random", min=0)] = 0,
-    seed: Annotated[int | None, typer.Option(help="of the drawing; default: today's date as a number")] = None,
+    seed: Annotated[int | None, typer.Option(help="of the drawing; default: today's date as a number", min=0)] = None,
     seconds: Annotated[float, typer.Option(help="CPU time for the first steps of each; 0: all its steps")] = 30.0,
 ) -> None:
     """Check every stored record against its checksums, place and config; recompute a few and compare."""
@@ -259,13 +263,13 @@ def seed_list(text: str) -> list[int]:
     """Return the seeds that a text such as "0-4,7" names; raises UserError if it names none."""
     seeds: list[int] = []
     for part in text.split(","):
-        match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+        match = re.fullmatch(r"\s*(\d{1,18})(?:-(\d{1,18}))?\s*", part)
         if match is None or (match[2] is not None and int(match[2]) < int(match[1])):
             raise UserError(f"seeds are given like 0-4 or 0,3,7, got {text!r}")
-        part_seeds = range(int(match[1]), int(match[2] or match[1]) + 1)
-        if len(seeds) + len(part_seeds) > MOST_SEEDS:
+        first, last = int(match[1]), int(match[2] or match[1])
+        if len(seeds) + last - first >= MOST_SEEDS:
             raise UserError(f"at most {MOST_SEEDS:,} seeds can be asked for at a time, got {text!r}")
-        seeds += part_seeds
+        seeds += range(first, last + 1)
     return list(dict.fromkeys(seeds))
 
 

@@ -4,6 +4,7 @@
 the environment when the package is imported: notebooks and workers, which run elsewhere, find the same folders there.
 """
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -18,7 +19,8 @@ def resolve() -> None:
     """Make the folders that the environment names absolute, seen from the current one."""
     for variable in (RECORDS, DATA):
         if value := os.environ.get(variable):
-            os.environ[variable] = str(Path(value).expanduser().absolute())
+            with contextlib.suppress(OSError, RuntimeError):  # the current folder is gone, or there is no such user
+                os.environ[variable] = str(Path(value).expanduser().absolute())
 
 
 def named(variable: str) -> Path | None:
@@ -43,6 +45,8 @@ def existing(folder: Path, variable: str, what: str) -> Path:
 
 def create(folder: Path) -> None:
     """Make sure that there is a folder; raises UserError if it cannot be made."""
+    if not folder.is_absolute():  # `resolve` could not make sense of it
+        raise UserError(f"cannot tell where the folder {folder} is: name it from / on")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -17,7 +17,7 @@ from typing import SupportsIndex
 import torch
 from torch import Generator, Tensor
 
-__all__ = ["derived", "generator", "stacked"]
+__all__ = ["check_seeds", "derived", "generator", "stacked"]
 
 
 def generator(seed: SupportsIndex, *path: str | SupportsIndex, device: str | torch.device = "cpu") -> Generator:
@@ -45,6 +45,22 @@ def derived(seed: SupportsIndex, *path: str | SupportsIndex) -> int:
     # Hashing, rather than seed + counter, keeps streams apart whose seeds and counters are close.
     digest = hashlib.sha256(repr(parts).encode()).digest()
     return int.from_bytes(digest[:8], "little")
+
+
+def check_seeds(seeds: Iterable[SupportsIndex]) -> tuple[int, ...]:
+    """Return the seeds of some replicas as plain integers.
+
+    Raises:
+        ValueError: if there are none, one is no integer of at least 0, or one comes twice.
+    """
+    try:
+        seeds = list(seeds)
+        plain = tuple(map(operator.index, seeds))
+    except TypeError:
+        raise ValueError(f"expected seeds as a list of integers, got {seeds!r}") from None
+    if not plain or min(plain) < 0 or len(set(plain)) < len(plain) or any(isinstance(seed, bool) for seed in seeds):
+        raise ValueError(f"expected at least one seed, each 0 or more and once only, got {seeds}")
+    return plain
 
 
 def stacked(

@@ -5,7 +5,8 @@ An `Interval` describes; an `Estimate` carries what a verdict needs (``judging.r
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -14,7 +15,7 @@ from scipy import stats as scipy_stats
 __all__ = [
     "CONFIDENCE", "Estimate", "Interval", "bootstrap_estimate", "bootstrap_interval", "crossing_interval",
     "difference_of_means", "difference_of_shares", "first_crossing", "mean_estimate", "median_filter",
-    "paired_difference", "ratio_interval", "t_interval",
+    "median_interval", "paired_difference", "ratio_interval", "t_interval",
 ]  # fmt: skip
 
 CONFIDENCE = 0.95
@@ -103,27 +104,50 @@ def difference_of_shares(first: Sequence[bool] | np.ndarray, second: Sequence[bo
     return Estimate(a - b, low, high, low90, high90, float(scipy_stats.fisher_exact(table).pvalue), n)
 
 
-def bootstrap_estimate(statistic: Callable[..., float], *sizes: int) -> Estimate:
+def bootstrap_estimate(statistic: Callable[..., Any], *sizes: int, vectorized: bool = False) -> Estimate:
     """Return ``statistic(indices, ...)`` of samples of the given sizes, with expanded percentile intervals.
 
     The statistic gets one array of indices per sample and may be anything that whole runs give: a minimum of the
     mean curve, a crossing, a ratio less 1. Samples are resampled independently; a paired statistic has one. Plain
     percentiles are too narrow for few repetitions: the levels are widened as Student's t widens those of a normal
     mean, for the smallest sample (Hesterberg, 2015). The p-value is the level at which the interval first touches
-    0.
+    0. ``vectorized`` is as in ``bootstrap_interval``.
     """
     n = min(sizes)
     value = float(statistic(*map(np.arange, sizes)))
     if n < 2 or not np.isfinite(value):
         return _unknown(value, n)
-    generator = np.random.default_rng(0)
-    draws = np.array([statistic(*(generator.integers(size, size=size) for size in sizes)) for _ in range(RESAMPLES)])
+    draws = _draws(statistic, sizes, vectorized)
     low, high, low90, high90 = (
         float(np.quantile(draws, _expanded(level, n), method="inverted_cdf")) for level in (0.025, 0.975, 0.05, 0.95)
     )
     tail = max(min(np.mean(draws <= 0), np.mean(draws >= 0)), 0.5 / RESAMPLES)
     p = 2 * scipy_stats.t.cdf(scipy_stats.norm.ppf(tail) * ((n - 1) / n) ** 0.5, n - 1)
     return Estimate(value, low, high, low90, high90, min(1.0, float(p)), n)
+
+
+@cache
+def _resamples(*sizes: int) -> tuple[np.ndarray, ...]:
+    """Return the indices [RESAMPLES, n] of the repetitions that each resample takes, for each of the sizes."""
+    generator = np.random.default_rng(0)
+    resamples: tuple[np.ndarray, ...]
+    if len(sizes) == 1:  # the same numbers as one by one
+        resamples = (generator.integers(sizes[0], size=(RESAMPLES, sizes[0])),)
+    else:
+        drawn = [[generator.integers(size, size=size) for size in sizes] for _ in range(RESAMPLES)]
+        resamples = tuple(np.stack(indices) for indices in zip(*drawn, strict=True))
+    for indices in resamples:
+        indices.flags.writeable = False
+    return resamples
+
+
+def _draws(statistic: Callable[..., Any], sizes: Sequence[int], vectorized: bool) -> np.ndarray:
+    """Return the statistic [RESAMPLES] of every resample."""
+    resamples = _resamples(*sizes)
+    draws = np.asarray(statistic(*resamples) if vectorized else list(map(statistic, *resamples)), float)
+    if draws.shape != (RESAMPLES,):
+        raise ValueError(f"a statistic gives one number per resample, {RESAMPLES} in all, got shape {draws.shape}")
+    return draws
 
 
 def _expanded(level: float, n: int) -> float:
@@ -149,17 +173,20 @@ def paired_difference(first: Sequence[float] | np.ndarray, second: Sequence[floa
     return t_interval(first - second)
 
 
-def bootstrap_interval(statistic: Callable[[np.ndarray], float], n: int) -> Interval:
+def bootstrap_interval(statistic: Callable[[np.ndarray], Any], n: int, *, vectorized: bool = False) -> Interval:
     """Return ``statistic(indices)`` at all n repetitions, with its percentile bootstrap interval.
 
     The statistic receives indices of repetitions, so it can be anything computed from whole runs: the crossing of a
-    mean curve, a ratio. It may be infinite ("not reached").
+    mean curve, a ratio. It may be infinite ("not reached"). With ``vectorized`` it takes many sets of indices at once,
+    [..., n], and gives [...].
+
+    Raises:
+        ValueError: if it does not.
     """
     value = float(statistic(np.arange(n)))
     if n < 2:
         return Interval(value, np.nan, np.nan, n)
-    generator = np.random.default_rng(0)
-    draws = [statistic(generator.integers(n, size=n)) for _ in range(RESAMPLES)]
+    draws = _draws(statistic, (n,), vectorized)
     # "Not reached" is infinite: quantiles without interpolation never average it with a number.
     low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], method="inverted_cdf")
     return Interval(value, float(low), float(high), n)
@@ -167,25 +194,39 @@ def bootstrap_interval(statistic: Callable[[np.ndarray], float], n: int) -> Inte
 
 def ratio_interval(numerator: np.ndarray, denominator: np.ndarray) -> Interval:
     """Return mean(numerator) / mean(denominator) with a bootstrap interval, paired over repetitions."""
-    return bootstrap_interval(lambda i: float(np.mean(numerator[i]) / np.mean(denominator[i])), len(numerator))
+    return bootstrap_interval(
+        lambda i: numerator[i].mean(-1) / denominator[i].mean(-1), len(numerator), vectorized=True
+    )
 
 
 def first_crossing(curve: np.ndarray, threshold: float, *, above: bool = False) -> float:
     """Return the index of the first point at or below ``threshold`` (``above``: at or above); inf if there is none."""
-    curve = np.asarray(curve)
-    reached = np.flatnonzero(curve >= threshold if above else curve <= threshold)
-    return float(reached[0]) if len(reached) else np.inf
+    return float(_first_crossings(np.asarray(curve), threshold, above))
+
+
+def _first_crossings(curves: np.ndarray, threshold: float, above: bool) -> np.ndarray:
+    """Return the first crossings [...] of curves [..., T]."""
+    reached = curves >= threshold if above else curves <= threshold
+    return np.where(reached.any(-1), reached.argmax(-1), np.inf)
 
 
 def median_filter(curve: np.ndarray, width: int) -> np.ndarray:
     """Return the centred running median over ``width`` points along the last axis; the ends repeat their value."""
-    return ndimage.median_filter(np.asarray(curve, float), size=width, axes=-1, mode="nearest")
+    curve = np.asarray(curve, float)
+    return ndimage.median_filter(curve, size=(1,) * (curve.ndim - 1) + (width,), mode="nearest")
 
 
 def crossing_interval(curves: np.ndarray, threshold: float, *, width: int = 1, above: bool = False) -> Interval:
     """Return the first crossing of the mean of ``curves`` [R, T], smoothed by a median of ``width`` points."""
 
-    def crossing(indices: np.ndarray) -> float:
-        return first_crossing(median_filter(curves[indices].mean(0), width), threshold, above=above)
+    def crossing(indices: np.ndarray) -> np.ndarray:
+        return _first_crossings(median_filter(curves[indices].mean(-2), width), threshold, above)
 
-    return bootstrap_interval(crossing, len(curves))
+    return bootstrap_interval(crossing, len(curves), vectorized=True)
+
+
+def median_interval(values: np.ndarray) -> Interval:
+    """Return the smaller median (at least half are no larger) with a bootstrap interval; values may be infinite."""
+    return bootstrap_interval(
+        lambda i: np.quantile(values[i], 0.5, axis=-1, method="inverted_cdf"), len(values), vectorized=True
+    )

@@ -1,6 +1,8 @@
 """Acquisition functions by hand, by their identities, and the choice among ties."""
 
 import math
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,3 +142,20 @@ def test_select_refuses_what_cannot_be_ranked():
     with pytest.raises(ValueError, match="at least one score"):
         select(torch.zeros(0), 1, rng.generator(100))
     assert len(select(torch.tensor([0.3, 0.1]), 5, rng.generator(100)).positions) == 2
+
+
+def test_our_scores_are_those_of_scipy_on_the_points_that_other_libraries_are_asked_about():
+    module = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "same_names.py"))
+    formulas = {
+        "max-entropy": "entropy of the mean prediction, H[p̄]",
+        "variation-ratios": "share of draws that are outvoted",
+        "bald": "mutual information, H[p̄] − mean H[p]",
+        "mean-std": "mean standard deviation over draws",
+        "least-confidence": "least confidence, 1 − max p̄",
+        "margin": "1 minus that gap",
+    }
+    assert formulas.keys() == ACQUISITIONS.keys()
+    probs = torch.tensor(module["PROBS"])
+    for name, words in formulas.items():
+        expected = torch.tensor(module["FORMULAS"][words](module["PROBS"]))
+        torch.testing.assert_close(score(name, probs.log()), expected, rtol=1e-12, atol=1e-12)

@@ -99,3 +99,10 @@ def test_pools_of_unequal_size_are_refused():
     pools, generators = [Pool([0], [1, 2]), Pool([0], [1])], [rng.generator(100), rng.generator(101)]
     with pytest.raises(ValueError, match=r"same size, got \[2, 1\] candidates"):
         acquire(Table(), pools, "bald", 1, draws=1, generators=generators)
+
+
+def test_replicas_do_not_share_a_pool():
+    pool, generators = Pool([0], range(1, 90)), [rng.generator(seed) for seed in (100, 101)]
+    with pytest.raises(ValueError, match="a pool of its own for each replica"):
+        acquire(Table(), [pool] * 2, "bald", 5, draws=7, generators=generators)
+    assert len(pool.labelled) == 1

@@ -109,3 +109,10 @@ def test_labels_that_are_no_class_numbers_are_refused():
         Pool([0], [1, 2]).candidates(rng.generator(100), -1)
     with pytest.raises(ValueError, match="do not fit"):
         split(LABELS, rng.generator(100), source=300, validation=-5, pool=1000)
+
+
+def test_masks_over_data_sets_of_two_sizes_are_refused():
+    first = np.arange(5) < 2
+    assert Pool(first, ~first).all.tolist() == [2, 3, 4]
+    with pytest.raises(ValueError, match="two masks over one data set, got 5 and 4 points"):
+        Pool(first, ~first[:4])

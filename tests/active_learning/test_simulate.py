@@ -2,6 +2,7 @@
 
 import inspect
 from dataclasses import fields
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -167,6 +168,34 @@ def test_a_learner_of_ones_own_and_the_picture(data):
     plt.close()
 
 
+@pytest.mark.parametrize(("value", "message"), [(np.nan, "has the training diverged"), (1.0, "sum to 1")])
+def test_what_is_no_prediction_has_no_test_error(data, value, message):
+    class Broken:
+        def fit(self, labelled):
+            pass
+
+        def log_probs(self, candidates, draws):
+            return torch.full((1, 1, candidates.shape[1], 3), value)
+
+    with pytest.raises(ValueError, match=message):  # though random acquisition asks for no scores
+        simulate(Broken(), *data, acquisition="random", rounds=1, progress=False)
+
+
+def test_a_classifier_that_names_no_classes(data):
+    class Bare(Nearest):
+        def fit(self, x, y):
+            super().fit(x, y)
+            self.known = self.__dict__.pop("classes_")
+
+    options = {"acquisition": "max-entropy", "rounds": 1, "progress": False}
+    assert same(
+        simulate(SklearnLearner(Bare()), *data, **options), simulate(SklearnLearner(Nearest()), *data, **options)
+    )
+    cows = data[1] == "cow"
+    with pytest.raises(ValueError, match=r"expected probabilities \[\d+, 3\], points × classes, got shape \[\d+, 2\]"):
+        simulate(SklearnLearner(Bare()), *data, **options, test=cows)
+
+
 def test_weight_draws_are_dropout_alone(data):
     learner = dropout_learner()
     learner.hold(torch.from_numpy(data[0]), torch.arange(60) % 3, 3, 100)
@@ -210,6 +239,12 @@ def test_batch_normalisation_in_training_mode_gets_a_hint(data):
         ({"test": -0.1}, "share between 0 and 1"),
         ({"test": [60]}, "indices below 60"),
         ({"test": [-1]}, "count from 0, got -1"),
+        ({"test": [1, 1, 2]}, "repeat an index"),
+        ({"test": [0, 1] * 30}, "is it a mask"),
+        ({"test": np.arange(30) < 5}, "a mask over all 60 points as test points, got one over 30"),
+        ({"labels": np.array([0.0, 1.0, np.nan] * 20, dtype=object)}, "some of the labels are NaN"),
+        ({"checkpoint": Path("nowhere", "file")}, "should be a file in a folder that is there"),
+        ({"checkpoint": Path()}, "should be a file in a folder that is there"),
         ({"acquisition": "entropy"}, "unknown acquisition function 'entropy'"),
         ({"count": 0}, "at least 1, got 0"),
         ({"rounds": -1}, "at least 0, got -1"),

@@ -122,10 +122,25 @@ def test_the_whole_identity_is_compared(tmp_path, changes, message):
         execute.run_unit(replace(toy.unit(), **changes), tmp_path)
 
 
-@pytest.mark.parametrize("seeds", [(), (1, 1), (-1, 0)])
+@pytest.mark.parametrize("seeds", [(), (1, 1), (-1, 0), (True,)])
 def test_a_unit_needs_seeds_that_differ(seeds):
     with pytest.raises(RunError, match="seeds that differ"):
         replace(toy.unit(), seeds=seeds)
+
+
+def test_numbers_from_numpy_make_the_same_unit(tmp_path):
+    code = """
+import sys, numpy as np, toy
+from dataclasses import replace
+from pathlib import Path
+from dropout_uncertainty.runs import execute
+theirs = replace(toy.unit(steps=np.int64(40)), seeds=np.arange(100, 102))
+assert theirs.identity == toy.unit().identity
+execute.run_unit(theirs, Path(sys.argv[1]))
+"""  # without the type checks that tests have
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "theirs")], cwd=HERE, check=True)
+    record = records.read(tmp_path / "theirs" / "toy" / "walk" / "100-101.npz")
+    assert record.header["payload"] == execute.run_unit(toy.unit(), tmp_path).header["payload"]
 
 
 def test_a_unit_that_does_not_fit_into_memory_is_refused_before_it_starts(tmp_path, monkeypatch):
@@ -140,6 +155,15 @@ def test_a_damaged_checkpoint_means_starting_again(tmp_path, checkpoint):
     checkpoint.write_bytes(checkpoint.read_bytes()[:-20])
     resumed = execute.run_unit(toy.unit(), tmp_path)
     assert resumed.header["payload"] == execute.run_unit(toy.unit(), tmp_path / "other").header["payload"]
+
+
+@pytest.mark.parametrize("content", [{"state": {"finished": 3}}, {"other": 1}])
+def test_a_checkpoint_of_another_version_is_kept_and_named(tmp_path, checkpoint, content):
+    execute._save(checkpoint, content)
+    before = checkpoint.read_bytes()
+    with pytest.raises(RunError, match=r"\.pt is of a version that kept other things .*go on with that version"):
+        execute.run_unit(toy.unit(), tmp_path)
+    assert checkpoint.read_bytes() == before
 
 
 def test_two_processes_do_not_compute_the_same_unit(tmp_path):

@@ -1,6 +1,8 @@
 """Records: what is written comes back, and what cannot be trusted is refused with a sentence."""
 
+import errno
 import io
+import os
 import shutil
 import zipfile
 from dataclasses import dataclass, field
@@ -29,6 +31,20 @@ def test_what_is_written_comes_back(path, tmp_path):
     assert [r.path for r in records.find("toy", CONFIG, folder=tmp_path)] == [path]
     assert records.find("toy", {"rounds": 4}, folder=tmp_path) == []
     assert not list(tmp_path.rglob(".*")), "a temporary file was left"
+
+
+def test_a_file_is_read_once_as_long_as_it_is_the_same(path, tmp_path):
+    (first,), (second,) = (records.find("toy", folder=tmp_path) for _ in range(2))
+    for name, array in first.arrays.items():
+        assert array is second.arrays[name]
+        assert not array.flags.writeable
+    second.header["seeds"].append(102)
+    second.arrays.clear()
+    (third,) = records.find("toy", folder=tmp_path)
+    assert (third.seeds, third.arrays.keys()) == ([100, 101], ARRAYS.keys()), "what a reader changes is its own"
+    path.write_bytes(b"damaged")
+    with pytest.raises(RecordError, match="cannot be read"):
+        records.find("toy", folder=tmp_path)
 
 
 @dataclass(frozen=True)
@@ -98,6 +114,26 @@ def test_a_copy_or_a_record_in_the_wrong_place_is_refused(path, tmp_path):
         ]  # fmt: skip
         copy.unlink()
     assert len(records.find("toy", folder=tmp_path)) == 1
+
+
+@pytest.mark.parametrize("moved", ["toy", "toy/ours", "toy/ours/a"])
+def test_a_folder_that_is_a_link_to_another_disk(path, tmp_path, moved):
+    folder, disk = tmp_path / moved, tmp_path.with_name(f"{tmp_path.name}-disk")
+    shutil.move(folder, disk)
+    folder.symlink_to(disk)
+    (disk / "round").symlink_to(disk)  # has no end
+    assert records.verify(tmp_path) == [(path, None)]
+    for name in (None, "ours/a"):
+        assert [record.path for record in records.find("toy", name=name, folder=tmp_path)] == [path]
+
+
+def test_a_folder_that_cannot_be_looked_into_is_not_an_empty_one(path, tmp_path, monkeypatch):
+    def refuse(folder):
+        raise PermissionError(errno.EACCES, "Permission denied", str(folder))
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    with pytest.raises(RecordError, match=r"cannot look for records in .* \(Permission denied\)"):
+        records.find("toy", folder=tmp_path)
 
 
 @pytest.mark.parametrize(

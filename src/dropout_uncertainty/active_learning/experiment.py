@@ -22,12 +22,14 @@ from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS
 from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
 from dropout_uncertainty.active_learning.ensemble import Ensemble
 from dropout_uncertainty.active_learning.loop import acquire
-from dropout_uncertainty.active_learning.network import CLASSES, BayesianCNN
+from dropout_uncertainty.active_learning.network import CLASSES, INITIALISATIONS, BayesianCNN
 from dropout_uncertainty.active_learning.noisy_pools import KINDS, NO_LABEL, Task, make_task
 from dropout_uncertainty.active_learning.pools import Pool, split
+from dropout_uncertainty.bayes import check_probability
 from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import Unit, precision_dtype
+from dropout_uncertainty.settings import tidy
 
 __all__ = ["CONFIGS", "EXPERIMENT", "ROWS", "ActiveLearning", "CNNLearner", "Config", "start", "units"]
 
@@ -93,6 +95,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Raise ValueError where a setting cannot be run."""
+        tidy(self)
         acquisitions = ["random", *ACQUISITIONS, *BATCH_ACQUISITIONS]
         if self.acquisition not in acquisitions:
             raise ValueError(
@@ -104,9 +107,18 @@ class Config:
             raise ValueError(f"unknown pool_kind {self.pool_kind!r}, choose one of {', '.join(KINDS)}")
         if not 0 <= self.ambiguous <= 1:
             raise ValueError(f"ambiguous is a share between 0 and 1, got {self.ambiguous}")
-        for name in ("epochs", "batch", "draws", "per_class", "acquired", "members"):
-            if getattr(self, name) < 1:
+        for name in ("epochs", "batch", "draws", "per_class", "acquired", "members", "pool", "random_from"):
+            if getattr(self, name) is not None and getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.initialisation not in INITIALISATIONS:
+            choices = ", ".join(INITIALISATIONS)
+            raise ValueError(f"unknown initialisation {self.initialisation!r}, choose one of {choices}")
+        if len(self.drop) != 2:
+            raise ValueError(f"expected two drop probabilities, got {self.drop}")
+        for p in self.drop:
+            check_probability(p)
+        if self.learning_rate <= 0 or self.decay < 0 or self.mc_test_every < 0:
+            raise ValueError("learning_rate must be above 0, decay and mc_test_every at least 0")
         if self.rounds < 0 or self.validation < 0 or (self.subset is not None and self.subset < 1):
             raise ValueError("rounds and validation must be at least 0, and subset at least 1 or None")
 
@@ -238,7 +250,8 @@ class CNNLearner:
         precision: str = "float32",
         data: mnist.Mnist | Sequence[mnist.Mnist] | None = None,
     ) -> None:
-        self.config, self.seeds, self.path, self.device = config, tuple(seeds), path, torch.device(device)
+        self.config, self.seeds, self.path = config, rng.check_seeds(seeds), path
+        self.device = torch.device(device)
         self.compute = precision_dtype(precision)
         data = data or mnist.load()
         self.data = [data] * len(self.seeds) if isinstance(data, mnist.Mnist) else list(data)
@@ -330,12 +343,12 @@ class ActiveLearning:
     def __init__(
         self, config: Config, seeds: Sequence[int], *, device: str, precision: str, data: mnist.Mnist | None = None
     ) -> None:
-        self.config, self.seeds = config, tuple(seeds)
-        self.tasks = [task_of(config, seed, data or mnist.load()) for seed in seeds]
+        self.config, self.seeds = config, rng.check_seeds(seeds)
+        self.tasks = [task_of(config, seed, data or mnist.load()) for seed in self.seeds]
         options: dict[str, Any] = {"device": device, "precision": precision, "data": [task.data for task in self.tasks]}
-        self.learner: CNNLearner | Ensemble = CNNLearner(config, seeds, **options)
+        self.learner: CNNLearner | Ensemble = CNNLearner(config, self.seeds, **options)
         if config.approximation == "ensemble":
-            others = [CNNLearner(config, seeds, "member", m, **options) for m in range(1, config.members)]
+            others = [CNNLearner(config, self.seeds, "member", m, **options) for m in range(1, config.members)]
             self.learner = Ensemble([self.learner, *others])
         self.pools = [Pool(t.split.initial, t.split.pool[: config.random_from]) for t in self.tasks]
         self.labels = self._growth()

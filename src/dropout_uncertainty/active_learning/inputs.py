@@ -55,5 +55,7 @@ def whole(given: int, what: str, least: int = 1) -> int:
 
 def _kind(given: ArrayLike) -> str:
     shape = getattr(given, "shape", None)
-    kind = getattr(given, "dtype", type(given).__name__)
+    kind = type(given).__name__  # a sparse matrix has a dtype too
+    if isinstance(given, np.ndarray | np.generic | Tensor):
+        kind = str(given.dtype)
     return f"{kind} of shape {list(shape)}" if shape is not None else f"a {kind}"

@@ -78,11 +78,13 @@ class SklearnLearner(Holder):
 
     def log_probs(self, candidates: Int[Tensor, "1 M"], draws: int) -> Float[Tensor, "1 1 M C"]:
         """Return log-probabilities, those of classes without a labelled point -inf."""
-        seen = torch.as_tensor(self.fitted.classes_)
+        given = np.asarray(self.fitted.predict_proba(self._rows(candidates[0])), np.float64)
+        seen = torch.as_tensor(getattr(self.fitted, "classes_", range(self.classes)))
+        if given.shape != (candidates.shape[1], len(seen)):
+            wanted = f"[{candidates.shape[1]}, {len(seen)}]"
+            raise ValueError(f"expected probabilities {wanted}, points × classes, got shape {list(given.shape)}")
         probs = torch.zeros(candidates.shape[1], self.classes, dtype=torch.float64)
-        probs[:, seen] = torch.as_tensor(
-            np.asarray(self.fitted.predict_proba(self._rows(candidates[0]))), dtype=probs.dtype
-        )
+        probs[:, seen] = torch.from_numpy(given)
         return probs.log()[None, None]
 
     def _rows(self, points: Int[Tensor, " n"]) -> np.ndarray:

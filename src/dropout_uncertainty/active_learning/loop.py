@@ -67,6 +67,8 @@ def acquire(
     """
     if isinstance(pools, Pool) or isinstance(generators, Generator) or len(pools) != len(generators):
         raise ValueError("expected one pool and one generator for each replica, in two lists of the same length")
+    if len({id(pool) for pool in pools}) < len(pools):
+        raise ValueError("expected a pool of its own for each replica, got one of them twice")
     whole(count, "the count of points to acquire")
     whole(draws, "the number of weight draws", 0)
     offered = [pool.candidates(g, subset) for pool, g in zip(pools, generators, strict=True)]

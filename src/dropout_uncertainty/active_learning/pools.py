@@ -86,8 +86,11 @@ class Pool:
         """Start with ``initial`` labelled, both given as indices or as masks over the data set.
 
         Raises:
-            ValueError: if they are neither, or if the two overlap or repeat a point.
+            ValueError: if they are neither, or masks of unequal lengths, or if the two overlap or repeat a point.
         """
+        given = [numbers(points, "indices or masks") for points in (initial, pool)]
+        if all(points.dtype == torch.bool for points in given) and len(given[0]) != len(given[1]):
+            raise ValueError(f"expected two masks over one data set, got {len(given[0])} and {len(given[1])} points")
         initial, pool = indices(initial, "the initial points"), indices(pool, "the points of the pool")
         both = torch.cat([initial, pool])
         if len(both.unique()) != len(both):

@@ -14,7 +14,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS
+from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS, checked
 from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
 from dropout_uncertainty.active_learning.inputs import indices, numbers, whole
 from dropout_uncertainty.active_learning.loop import Learner, acquire, predictions
@@ -90,8 +90,9 @@ def simulate(
     """
     if acquisition not in (names := ["random", *ACQUISITIONS, *BATCH_ACQUISITIONS]):
         raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {', '.join(names)}")
-    whole(count, "the count of points to acquire")
-    whole(rounds, "the number of rounds", 0)
+    count, rounds = whole(count, "the count of points to acquire"), whole(rounds, "the number of rounds", 0)
+    draws, seed = whole(draws, "the number of weight draws", 0), whole(seed, "the seed", 0)
+    subset = None if subset is None else whole(subset, "the size of the subset")
     features, targets, classes = _data(images, labels)
     tested, pool = _split(targets, test, whole(per_class, "the number of initial points per class"), seed)
     if isinstance(learner, type) or not isinstance(learner, Learner):
@@ -135,6 +136,8 @@ def _data(images: ArrayLike, labels: ArrayLike) -> tuple[Tensor, Int[Tensor, " N
         names, targets = np.unique(given, return_inverse=True)
     except TypeError:
         raise ValueError("expected labels of one type, got several: is one missing?") from None
+    if given.dtype.kind == "O" and any(name != name for name in names):  # NaN among objects
+        raise ValueError("some of the labels are NaN: leave those points out")
     if len(names) < 2:
         raise ValueError(f"expected labels of at least two classes, got {len(names)}")
     return features, torch.from_numpy(targets).long(), len(names)
@@ -144,8 +147,7 @@ def _split(targets: Int[Tensor, " N"], test: float | ArrayLike, per_class: int, 
     """Return the test points, and the pool with the first points of each class labelled."""
     total = len(targets)
     order = torch.randperm(total, generator=rng.generator(seed, "data"))
-    share = round(test * total) if isinstance(test, float) else None
-    tested = indices(test, "the test points").unique() if share is None else order[: max(share, 0)]
+    tested = order[: max(round(np.asarray(test).item() * total), 0)] if np.ndim(test) == 0 else _named(test, total)
     held_out = torch.zeros(total, dtype=torch.bool)
     if not 0 < len(tested) < total or tested.max() >= total:
         raise ValueError(f"expected a share between 0 and 1, or indices below {total}, as test points, got {test!r}")
@@ -156,10 +158,21 @@ def _split(targets: Int[Tensor, " N"], test: float | ArrayLike, per_class: int, 
     return tested, Pool(initial, rest[~torch.isin(rest, initial)])
 
 
+def _named(test: ArrayLike, total: int) -> Int[Tensor, " M"]:
+    """Return the test points given as indices or as a mask, in order."""
+    given = numbers(test, "the test points")
+    if given.dtype == torch.bool and len(given) != total:
+        raise ValueError(f"expected a mask over all {total} points as test points, got one over {len(given)}")
+    named = indices(given, "the test points")
+    if len(named.unique()) < len(named):
+        raise ValueError("the test points repeat an index: is it a mask? Then make it one of booleans")
+    return named.unique()
+
+
 def _error(learner: Learner, tested: Int[Tensor, " M"], targets: Int[Tensor, " N"]) -> float:
     """Return the test error in %."""
     parts = predictions(learner, tested[None], 0)
-    predicted = torch.cat([log_probs[0].double().logsumexp(0).argmax(-1).cpu() for log_probs in parts])
+    predicted = torch.cat([checked(log_probs[0]).logsumexp(0).argmax(-1).cpu() for log_probs in parts])
     return 100 * float((predicted != targets[tested]).double().mean())
 
 
@@ -168,6 +181,8 @@ class _Checkpoint:
 
     def __init__(self, path: str | Path | None, identity: str) -> None:
         self.path, self.identity = path and Path(path), identity
+        if self.path and (self.path.is_dir() or not self.path.parent.is_dir()):
+            raise ValueError(f"the checkpoint {self.path} should be a file in a folder that is there: name another one")
 
     def write(self, pool: Pool, sizes: list[int], errors: list[float]) -> None:
         if not self.path:

@@ -46,9 +46,7 @@ class Learner:
     policy: Tensor  # parameters, [R, P]
 
     def __init__(self, config: Any, seeds: Sequence[int], shape: Any, kept: Sequence[str] | None = None) -> None:
-        if len(seeds) == 0:
-            raise ValueError("at least one seed is needed, got none")
-        self.config, self.seeds, self.shape, self.kept = config, tuple(seeds), shape, kept
+        self.config, self.seeds, self.shape, self.kept = config, rng.check_seeds(seeds), shape, kept
         self.total, self.done = config.trials + 1, 0
         times, steps = config.plant.steps + 1, config.plant.steps
         sizes = {

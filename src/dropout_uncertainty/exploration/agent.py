@@ -6,6 +6,7 @@ and the present state go through the network together.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -78,7 +79,7 @@ class Agent:
         self.drop_acting = tuple(self.drop if drop_acting is None else drop_acting) if own_draws else None
         self.ones: dict[int, Tensor] = {}
         self.batch, self.learning_start = batch, learning_start
-        self.learning = {"discount": discount, "rate": rate, "decay": decay}
+        self.learning: dict[str, Any] = {"discount": discount, "rate": rate, "decay": decay}
         self.dtype, self.device, replicas = dtype, device, len(self.seeds)
         self.network = QNetwork((STATE_SIZE, *hidden, C), self.seeds, index, dtype=dtype, device=device)
         self.memory = ReplayMemory(replicas, capacity, STATE_SIZE, C, dtype=dtype, device=device)

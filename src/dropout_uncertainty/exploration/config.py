@@ -1,8 +1,6 @@
 """What is set in an experiment of section 5.3, and what is refused: a setting that cannot work or would do nothing."""
 
 import math
-import operator
-from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -13,7 +11,7 @@ from dropout_uncertainty.exploration.agent import CHUNK
 from dropout_uncertainty.exploration.foraging.world import Rules
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
 
-__all__ = ["BLOCK", "NO_DROPOUT", "AgentConfig", "Config", "check_seeds", "make_policy"]
+__all__ = ["BLOCK", "NO_DROPOUT", "AgentConfig", "Config", "make_policy"]
 
 #: Ticks per block, the unit in which results are kept: one point of the demo's plot.
 BLOCK = 500
@@ -104,34 +102,21 @@ def make_policy(name: str, config: Config) -> Policy:
     return policy(name, burn_in=config.burn_in, **schedule)
 
 
-def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
-    """Return seeds as plain integers.
-
-    Raises:
-        ValueError: if there are none, one is no integer of at least 0, or one comes twice.
-    """
-    try:
-        plain = tuple(operator.index(seed) for seed in seeds)
-    except TypeError:
-        raise ValueError(f"expected seeds as a list of integers, got {seeds!r}") from None
-    if not plain or min(plain) < 0 or len(set(plain)) < len(plain):
-        raise ValueError(f"expected at least one seed, each 0 or more and once only, got {plain}")
-    return plain
-
-
 # ------------------------------------------------------------------ what is refused
 
 
 def _as_plain_numbers(config: Any) -> None:
-    """Make NumPy numbers plain ones, and lists and arrays tuples, so that equal configs have equal hashes."""
+    """Make numbers those of the field's type, and lists and arrays tuples, so that equal configs have equal hashes."""
     for item in fields(config):
-        object.__setattr__(config, item.name, _plain(getattr(config, item.name)))
+        object.__setattr__(config, item.name, _plain(getattr(config, item.name), "float" in str(item.type)))
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any, real: bool) -> Any:
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
-    return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value
+    if real and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    return tuple(_plain(item, real) for item in value) if isinstance(value, list | tuple) else value
 
 
 def _check_whole(name: str, value: Any, least: int) -> None:

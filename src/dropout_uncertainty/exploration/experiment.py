@@ -10,7 +10,7 @@ import torch
 from dropout_uncertainty import rng
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.agent import CHUNK, STATE_SIZE, Agent
-from dropout_uncertainty.exploration.config import BLOCK, NO_DROPOUT, AgentConfig, Config, check_seeds, make_policy
+from dropout_uncertainty.exploration.config import BLOCK, NO_DROPOUT, AgentConfig, Config, make_policy
 from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.exploration.foraging.world import World
 from dropout_uncertainty.runs import sweep
@@ -120,7 +120,7 @@ class Foraging:
     ) -> None:
         if precision not in ("float32", "float64"):
             raise UserError(f"the agents of section 5.3 compute in float32 or float64, not in {precision!r}")
-        self.config, self.seeds = config, check_seeds(seeds)
+        self.config, self.seeds = config, rng.check_seeds(seeds)
         self.total, self.done = config.ticks // BLOCK, 0
         layout = rng.stacked(lambda g: torch.rand(world.ITEMS, 3, dtype=torch.float64, generator=g),
                              self.seeds, "environment", "start")  # fmt: skip

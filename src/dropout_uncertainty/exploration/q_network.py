@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Generator, Tensor
 
 from dropout_uncertainty import rng
@@ -21,6 +21,8 @@ from dropout_uncertainty.bayes import Masks, check_probability
 
 __all__ = ["MaskStream", "QNetwork", "keep_units", "product", "td_error"]
 
+#: What a network sees: vectors, or for ``deep_sea.network`` the numbers of one-hot vectors.
+Inputs = Float[Tensor, "R rows D"] | Int[Tensor, "R rows"]
 HIDDEN_BIAS = 0.1  # convnetjs starts the biases of ReLU layers here, so that all units are alive
 
 
@@ -64,7 +66,7 @@ class QNetwork:
         self.sizes, self.seeds = tuple(sizes), tuple(seeds)
         self.layers = len(sizes) - 1
         pairs = list(zip(self.sizes[:-1], self.sizes[1:], strict=True))
-        count = sum((fan_in + 1) * fan_out for fan_in, fan_out in pairs)
+        count = self._count(sum((fan_in + 1) * fan_out for fan_in, fan_out in pairs))
         self.parameters = torch.zeros(len(self.seeds), count, dtype=dtype, device=device)
         self.gradients = torch.zeros_like(self.parameters)
         self.decayed = torch.zeros(count, dtype=dtype, device=device)  # 1 for weights, 0 for biases
@@ -77,6 +79,10 @@ class QNetwork:
             self.biases[layer].fill_(HIDDEN_BIAS if layer < self.layers - 1 else 0.0)
         for weight in self._views(self.decayed[None])[0]:
             weight.fill_(1.0)
+
+    def _count(self, used: int) -> int:
+        """Return how many numbers a row of ``parameters`` has, of which ``used`` are parameters."""
+        return used
 
     def _views(self, flat: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """Return the weights and biases of every layer as views of [R, P]."""
@@ -95,7 +101,7 @@ class QNetwork:
             self._buffers[key] = self.parameters.new_empty(len(self.seeds), rows, width)
         return self._buffers[key]
 
-    def forward(self, x: Float[Tensor, "R B D"], masks: Masks | None = None) -> list[Tensor]:
+    def forward(self, x: Inputs, masks: Masks | None = None) -> list[Tensor]:
         """Return the inputs of every layer after its mask, and last the Q-values [R, B, C].
 
         The tensors are overwritten by the next call with as many rows.
@@ -106,7 +112,7 @@ class QNetwork:
             if mask is not None:
                 x = torch.mul(x, mask, out=self._buffer("input", 0, rows, self.sizes[0]) if layer == 0 else x)
             activations.append(x)
-            x = product(x, weight, self._buffer("layer", layer, rows, self.sizes[layer + 1])).add_(bias)
+            x = self._product(layer, x, weight, self._buffer("layer", layer, rows, self.sizes[layer + 1])).add_(bias)
             if layer < self.layers - 1:
                 x = x.relu_()
         return [*activations, x]
@@ -116,7 +122,7 @@ class QNetwork:
         batch = error.shape[1]
         for layer in reversed(range(self.layers)):
             below = activations[layer][:, :batch]
-            product(below.mT, error, self.weight_gradients[layer])
+            self._weight_gradient(layer, below, error)
             torch.sum(error, 1, keepdim=True, out=self.bias_gradients[layer])
             if layer:
                 error = product(error, self.weights[layer].mT, self._buffer("error", layer, batch, self.sizes[layer]))
@@ -125,6 +131,14 @@ class QNetwork:
                 mask = masks[layer] if masks is not None else None
                 if mask is not None:
                     error.mul_(mask[:, :batch])
+
+    def _product(self, layer: int, x: Tensor, weight: Tensor, out: Tensor) -> Tensor:
+        """Write what a layer makes of its inputs, but for the bias, to ``out`` and return it."""
+        return product(x, weight, out)
+
+    def _weight_gradient(self, layer: int, below: Tensor, error: Tensor) -> None:
+        """Set the gradient in a layer's weights from its inputs and the error of its outputs."""
+        product(below.mT, error, self.weight_gradients[layer])
 
     def descend(self, rate: float, decay: float, batch: int) -> None:
         """Take one step of gradient descent on the mean over ``batch`` rows.
@@ -136,24 +150,26 @@ class QNetwork:
 
     def learn(
         self,
-        x: Float[Tensor, "R rows D"],
+        x: Inputs,
         taken: Float[Tensor, "R B C"],
         reward: Float[Tensor, "R B"],
         masks: Masks | None,
         *,
-        discount: float,
+        discount: float | Float[Tensor, "R B"],
         rate: float,
         decay: float,
+        prior: Float[Tensor, "R rows C"] | None = None,
     ) -> tuple[Float[Tensor, "R rest C"], Float[Tensor, "R B"]]:
         """Take one Q-learning step; return the Q-values of the further rows and the TD errors before the step.
 
         Rows of ``x``: B states, their B successors, then any states whose values are wanted from the same weights
         (those before the step). ``taken`` is the one-hot action taken in each state. Each row has a weight draw of its
-        own, thus target and prediction differ in theirs; the target takes no part in the gradient.
+        own, thus target and prediction differ in theirs; the target takes no part in the gradient. ``prior`` is added
+        to all Q-values.
         """
         batch = taken.shape[1]
         activations = self.forward(x, masks)
-        q = activations[-1]
+        q = activations[-1] if prior is None else activations[-1].add_(prior)
         error = td_error(q, taken, reward, discount)
         self.backward(activations, masks, taken * error[..., None])
         self.descend(rate, decay, batch)
@@ -165,11 +181,21 @@ def _normal(shape: tuple[int, int], generator: Generator) -> Tensor:
 
 
 def td_error(
-    q: Float[Tensor, "R rows C"], taken: Float[Tensor, "R B C"], reward: Float[Tensor, "R B"], discount: float
+    q: Float[Tensor, "R rows C"],
+    taken: Float[Tensor, "R B C"],
+    reward: Float[Tensor, "R B"],
+    discount: float | Float[Tensor, "R B"],
 ) -> Float[Tensor, "R B"]:
-    """Return Q(s, a) - (r + γ max Q(s', ·)) from the values of B states and, behind them, of their B successors."""
+    """Return Q(s, a) - (r + γ max Q(s', ·)) from the values of B states and, behind them, of their B successors.
+
+    Where episodes end ``discount`` is given for each transition: 0 for the last of an episode.
+    """
     batch = taken.shape[1]
-    target = torch.add(reward, q[:, batch : 2 * batch].amax(-1), alpha=discount)
+    best = q[:, batch : 2 * batch].amax(-1)
+    if isinstance(discount, Tensor):
+        target = torch.addcmul(reward, discount, best)
+    else:
+        target = torch.add(reward, best, alpha=discount)
     return (q[:, :batch] * taken).sum(-1) - target
 
 

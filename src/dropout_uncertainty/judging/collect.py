@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 from dropout_uncertainty.active_learning.report import analysis as active_learning
+from dropout_uncertainty.active_learning.report import pools
 from dropout_uncertainty.active_learning.report.statements import CLAIMS as ACTIVE_LEARNING
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as what_matters
 from dropout_uncertainty.data_efficiency.ablations.report.statements import CLAIMS as WHAT_MATTERS
@@ -11,6 +12,7 @@ from dropout_uncertainty.data_efficiency.report import analysis as data_efficien
 from dropout_uncertainty.data_efficiency.report.statements import CLAIMS as DATA_EFFICIENCY
 from dropout_uncertainty.exploration.report import analysis as exploration
 from dropout_uncertainty.exploration.report import two_by_two
+from dropout_uncertainty.exploration.report.deep_sea import analysis as deep_sea
 from dropout_uncertainty.exploration.report.statements import CLAIMS as EXPLORATION
 from dropout_uncertainty.judging.results import Claim, Result
 
@@ -35,6 +37,6 @@ def collect(folder: Path | None = None) -> list[Result]:
     Raises:
         RecordError: if a record cannot be trusted.
     """
-    sections = (active_learning, exploration, two_by_two, data_efficiency, what_matters)
+    sections = (active_learning, pools, exploration, two_by_two, deep_sea, data_efficiency, what_matters)
     numbers = [number for section in sections for number in section.results(folder)]
     return numbers + [claim.judge(folder).result() for claim in CLAIMS.values()]

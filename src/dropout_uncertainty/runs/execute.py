@@ -21,7 +21,7 @@ from filelock import FileLock, Timeout
 from tqdm.auto import tqdm
 
 from dropout_uncertainty.runs import records
-from dropout_uncertainty.runs.process import rounding
+from dropout_uncertainty.runs.process import Process, rounding
 from dropout_uncertainty.runs.records import Record, RecordError
 from dropout_uncertainty.runs.unit import RunError, Unit, check_memory, differing
 
@@ -124,7 +124,7 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool) -> Record:
     commits, parents = [], []
     saved = _load(partial)
     if saved is not None:
-        process.restore(saved["state"])
+        _restore(process, saved, partial)
         older = min(saved["clock"].get("rounding", 1), rounding(process))
         clock = {**saved["clock"], "interruptions": saved["clock"]["interruptions"] + 1, "rounding": older}
         commits, parents = saved.get("commits", [{"commit": None}]), saved.get("parents", [])
@@ -156,6 +156,18 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool) -> Record:
     record = records.write(_path(unit, folder), process.result(), header)
     partial.unlink(missing_ok=True)
     return record
+
+
+def _restore(process: Process, saved: dict[str, Any], partial: Path) -> None:
+    """Put a process back where a checkpoint was made; raises RunError where another version made it."""
+    try:
+        process.restore(saved["state"])
+    except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise RunError(
+            f"the checkpoint {partial} is of a version that kept other things ({reason}): go on with that version, or "
+            "delete it to start this unit again"
+        ) from error
 
 
 def _joined(commits: list[dict[str, Any]], last: dict[str, Any]) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ what cannot be trusted is a ``RecordError`` that names the file and what to do.
 """
 
 import contextlib
+import copy
 import csv
 import datetime
 import errno
@@ -20,7 +21,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ class RecordError(UserError):
 
 @dataclass(frozen=True)
 class Record:
-    """A verified record: ``header`` (see ``REQUIRED``), ``arrays`` by name, and the ``path`` it was read from."""
+    """A verified record: ``header`` (see ``REQUIRED``), read-only ``arrays`` by name, and ``path``, its file."""
 
     header: dict[str, Any] = field(repr=False)
     arrays: dict[str, np.ndarray] = field(repr=False)
@@ -117,6 +118,8 @@ def _plain(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         kept = [f for f in fields(value) if getattr(value, f.name) != f.metadata.get("before", _NEVER)]
         return {f.name: _plain(getattr(value, f.name)) for f in kept}
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
@@ -338,7 +341,18 @@ def _check_place(path: Path, header: Mapping[str, Any], folder: Path | None = No
 
 
 def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*.npz") if not path.name.startswith("."))
+    """Return the record files below a folder, also where a folder below it is a link to another disk."""
+    found = []
+    for place, below, names in os.walk(folder, followlinks=True, onerror=_unseen):
+        found += [Path(place, name) for name in names if name.endswith(".npz") and not name.startswith(".")]
+        here = Path(place).resolve()  # a link to what it lies in would have no end
+        below[:] = [name for name in below if not here.is_relative_to(Path(place, name).resolve())]
+    return sorted(found)
+
+
+def _unseen(error: OSError) -> None:
+    if not isinstance(error, FileNotFoundError | NotADirectoryError):
+        raise RecordError(f"cannot look for records in {error.filename} ({error.strerror}): make it readable")
 
 
 def _parse(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -346,6 +360,8 @@ def _parse(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     with zipfile.ZipFile(path) as archive:
         members = {name.removesuffix(".npy"): archive.read(name) for name in archive.namelist()}
     arrays = {name: np.lib.format.read_array(io.BytesIO(content)) for name, content in members.items()}
+    for array in arrays.values():
+        array.flags.writeable = False
     header = json.loads(arrays.pop(HEADER).tobytes())
     if not isinstance(header, dict):
         raise ValueError("its header is no table")
@@ -371,7 +387,7 @@ def find(
         RecordError: if one of them cannot be trusted, seeds come twice, or configs of one name differ.
     """
     folder = folders.existing(folder or root(), folders.RECORDS, "records")
-    found = [read(path, folder) for path in _files(folder / experiment / (name or ""))]
+    found = [_kept(path, folder) for path in _files(folder / experiment / (name or ""))]
     if name is not None:
         found = [record for record in found if record.header["name"] == name]
     if config is not None:
@@ -386,6 +402,22 @@ def find(
     if clash := _clash(counted):
         raise RecordError(clash[1])
     return counted
+
+
+def _kept(path: Path, folder: Path) -> Record:
+    """Return the record at ``path`` as ``read`` does, from memory if this process has read this very file before."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        raise RecordError(f"there is no record {path}") from None
+    record = _verified(path, folder, (found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns))
+    # the arrays cannot be written to; what else could be changed is each reader's own
+    return replace(record, header=copy.deepcopy(record.header), arrays=dict(record.arrays))
+
+
+@lru_cache(maxsize=256)
+def _verified(path: Path, folder: Path, _: tuple[int, ...]) -> Record:
+    return read(path, folder)
 
 
 def _same(first: Record, second: Record) -> bool:

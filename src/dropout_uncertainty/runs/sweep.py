@@ -42,7 +42,7 @@ class Sweep:
         if (precision or own) not in self.precisions:
             choices = " or ".join(self.precisions)
             raise RunError(f"{self.experiment}/{name} runs in {choices}, got the precision {precision}")
-        seeds = range(self.repetitions) if seeds is None else seeds
+        seeds = range(self.repetitions) if seeds is None else list(seeds)
         kind = torch.device(device).type
         if kind not in self.group:
             raise RunError(f"{self.experiment}/{name} runs on {' or '.join(self.group)}, got the device {device}")

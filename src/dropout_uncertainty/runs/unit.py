@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from dropout_uncertainty import rng
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.process import Process
@@ -37,8 +38,10 @@ class Unit:
     memory: float = 0.0  # bytes at the height of the work, an estimate; 0: not known
 
     def __post_init__(self) -> None:
-        if not self.seeds or len(set(self.seeds)) != len(self.seeds) or min(self.seeds) < 0:
-            raise RunError(f"a unit needs seeds that differ, none below 0: got {list(self.seeds)}")
+        try:  # plain, as the header of a record can hold them
+            object.__setattr__(self, "seeds", rng.check_seeds(self.seeds))
+        except ValueError as error:
+            raise RunError(f"a unit needs seeds that differ: {error}") from None
 
     @property
     def label(self) -> str:

@@ -85,7 +85,7 @@ class Row:
     @property
     def minimum(self) -> Interval:
         """Minimum of the mean curve in %, the statistic that Table 5.1 prints."""
-        return bootstrap_interval(lambda i: float(self.error[i].mean(0).min()), len(self.error))
+        return bootstrap_interval(lambda i: self.error[i].mean(-2).min(-1), len(self.error), vectorized=True)
 
     def crossing(self, threshold: float = THRESHOLD, *, width: int = 1) -> Interval:
         """Acquisitions until the mean curve, after a median of ``width`` points, is at ``threshold`` % or below."""

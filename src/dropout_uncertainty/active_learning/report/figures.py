@@ -3,14 +3,19 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
+from dropout_uncertainty.active_learning.noisy_pools import Task
 from dropout_uncertainty.active_learning.report.analysis import Row
+from dropout_uncertainty.active_learning.report.pools import Contrast
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, band
+from dropout_uncertainty.stats import t_interval
 
-__all__ = ["class_shares", "digits", "figure_5_1", "figure_5_2", "learning_curves"]
+__all__ = ["class_shares", "digits", "figure_5_1", "figure_5_2", "forest", "learning_curves", "picked"]
 
 
 def colour(name: str) -> str:
@@ -21,12 +26,12 @@ def colour(name: str) -> str:
 def learning_curves(
     ax: Axes, rows: Mapping[str, Row], names: Sequence[str], *, original: Mapping[str, Row] | None = None
 ) -> Axes:
-    """Draw test error against acquired points for the named rows; dashed lines are Softmax rows.
+    """Draw test error against acquired points for the named rows; dashed lines are Softmax rows, dotted ones ensembles.
 
     With ``original``, the curves that the original program recorded stand behind as thin lines, one per repetition.
     """
     for name in names:
-        dash = "--" if name.startswith("softmax") else "-"
+        dash = {"softmax": "--", "ensemble": ":"}.get(name.partition("/")[0], "-")
         if original and name in original:
             row = original[name]
             ax.plot(row.labels - row.labels[0], row.error.T, dash, color=colour(name), linewidth=0.5, alpha=0.45)
@@ -38,6 +43,37 @@ def learning_curves(
     ax.set_yticks(ticks, [str(tick) for tick in ticks])
     ax.set_yticks([], minor=True)
     ax.legend()
+    return ax
+
+
+def forest(ax: Axes, pairs: Sequence[Contrast], margin: float = 1.0) -> Axes:
+    """Draw paired differences of test error with 95 % intervals and single seeds; the grey strip is ±``margin``."""
+    ax.axvspan(-margin, margin, color="#eeeeee")
+    ax.axvline(0, color="black", linewidth=0.8)
+    for height, pair in enumerate(pairs):
+        value, low, high, n = t_interval(pair.difference)
+        if n == 0:
+            ax.text(0, height, "not run yet", va="center", fontsize=SMALL)
+            continue
+        ax.plot(pair.difference, np.full(n, height), "|", color=colour(pair.first), alpha=0.5)
+        ax.plot([low, high], [height, height], color=colour(pair.first))
+        ax.plot(value, height, "o", color=colour(pair.first))
+    ax.set_yticks(range(len(pairs)), [f"{pair.kind}: {pair.label} ({len(pair.difference)})" for pair in pairs])
+    ax.invert_yaxis()
+    ax.set(xlabel="difference of test error, 100 to 300 acquired [points]")
+    return ax
+
+
+def picked(ax: Axes, task: Task, points: Int[np.ndarray, " n"], title: str) -> Axes:
+    """Draw the images in the order of acquisition, ten in a row; a frame marks those that were wasted."""
+    images = task.data.train_images[points].numpy()
+    wasted = task.wasted(torch.from_numpy(points).long()).numpy()
+    rows = len(points) // 10
+    ax.imshow(images[: 10 * rows].reshape(rows, 10, 28, 28).swapaxes(1, 2).reshape(28 * rows, 280), cmap="gray_r")
+    for row, column in np.argwhere(wasted[: 10 * rows].reshape(rows, 10)):
+        ax.add_patch(Rectangle((28.0 * column, 28.0 * row), 27, 27, fill=False, color=COLOURS["bald"], linewidth=1))
+    ax.axis("off")
+    ax.set_title(title)
     return ax
 
 

@@ -12,11 +12,12 @@ from dropout_uncertainty.active_learning.experiment import CONFIGS, POOL_ROWS, S
 from dropout_uncertainty.active_learning.noisy_pools import Task
 from dropout_uncertainty.active_learning.report.analysis import LABELS, Row, load_rows
 from dropout_uncertainty.judging.results import Result, measured
+from dropout_uncertainty.judging.rules import Side, comparison
 from dropout_uncertainty.stats import Interval, mean_estimate, t_interval
 
 __all__ = [
-    "CONTRASTS", "END", "NOISE", "RANGE", "Contrast", "acquired", "contrasts", "load", "mean_error", "noise", "results",
-    "sensitivity", "which_for_which",
+    "CONTRASTS", "END", "NOISE", "RANGE", "STATEMENTS", "Contrast", "acquired", "contrast", "contrasts", "load",
+    "mean_error", "noise", "results", "sensitivity", "verdicts", "which_for_which",
 ]  # fmt: skip
 
 #: Acquired points over which the test error is averaged, and the last three points of the curves.
@@ -45,6 +46,21 @@ CONTRASTS: tuple[tuple[str, str, str], ...] = (
     ("repeated", "dropout/power-bald", "dropout/bald"),
     ("irrelevant", "dropout/bald", "softmax/max-entropy"),
 )
+
+
+#: Statements by id: pool, row, the row it is compared with, acquired points, the side claimed for the difference, and
+#: the margin in points of %.
+STATEMENTS: dict[str, tuple[str, str, str, tuple[int, int], Side, float]] = {
+    "AL3e": ("clean", "dropout/max-entropy", "softmax/max-entropy", RANGE, "less", 1.0),
+    "AL3f": ("clean", "dropout/max-entropy", "softmax/max-entropy", END, "less", 0.25),
+    "AL11": ("ambiguous", "dropout/bald", "softmax/max-entropy", RANGE, "less", 1.0),
+    "AL11b": ("ambiguous", "dropout/max-entropy", "softmax/max-entropy", RANGE, "less", 1.0),
+    "AL11c": ("ambiguous", "dropout/variation-ratios", "softmax/least-confidence", RANGE, "less", 1.0),
+    "AL11d": ("repeated", "dropout/bald", "softmax/max-entropy", RANGE, "less", 1.0),
+    "AL11e": ("irrelevant", "dropout/bald", "softmax/max-entropy", RANGE, "less", 1.0),
+    "AL11f": ("ambiguous", "ensemble/bald", "ensemble/max-entropy", RANGE, "less", 1.0),
+    "AL12": ("ambiguous", "dropout/mean-std", "dropout/bald", RANGE, "more", 1.0),
+}
 
 
 class Contrast(NamedTuple):
@@ -99,6 +115,18 @@ def contrast(pools: Mapping[str, Mapping[str, Row]], kind: str, first: str, seco
 def contrasts(pools: Mapping[str, Mapping[str, Row]]) -> Iterator[Contrast]:
     """Return the chapter's comparisons, those that have no runs yet included."""
     return (contrast(pools, *names) for names in CONTRASTS)
+
+
+def verdicts(pools: Mapping[str, Mapping[str, Row]]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells of the statements about pools; plain verdicts, not adjusted for their number."""
+    cells: list[list[object]] = []
+    for name, (kind, first, second, points, side, margin) in STATEMENTS.items():
+        pair = contrast(pools, kind, first, second, points)
+        found = mean_estimate(pair.difference)
+        difference = f"{found.value:.1f} [{found.low:.1f}, {found.high:.1f}]" if found.n else "not run yet"
+        where = f"{kind}, {points[0]} to {points[1]}"
+        cells.append([name, where, pair.label, side, difference, found.n, comparison(found, side, margin)])
+    return ["", "pool, acquired", "difference", "claimed", "points [95 %]", "seeds", "verdict"], cells
 
 
 def which_for_which(pools: Mapping[str, Mapping[str, Row]]) -> tuple[list[str], list[list[object]]]:

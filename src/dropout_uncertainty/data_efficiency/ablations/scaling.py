@@ -29,7 +29,7 @@ from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, line
 from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import SquaredExponential
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.pilco.learner import PILCO_PAPER, PilcoConfig
-from dropout_uncertainty.rng import generator
+from dropout_uncertainty.rng import check_seeds, generator
 
 __all__ = ["AXES", "METHODS", "Scaling", "ScalingConfig"]
 
@@ -77,11 +77,9 @@ class Scaling:
     """R repetitions with data of their own; a step takes the times of all of them at one point."""
 
     def __init__(self, config: ScalingConfig, seeds: Sequence[int], device: str, dtype: torch.dtype) -> None:
-        if not seeds:
-            raise ValueError("at least one seed is needed, got none")
         if device != "cpu":
             raise ValueError(f"times are taken on one thread of the CPU, got the device {device}; use --device cpu")
-        self.config, self.seeds, self.dtype = config, tuple(seeds), dtype
+        self.config, self.seeds, self.dtype = config, check_seeds(seeds), dtype
         self.points = config.points()
         self.total, self.done = len(self.points), 0
         blank = torch.full((len(self.seeds), self.total), torch.nan, dtype=torch.float64)

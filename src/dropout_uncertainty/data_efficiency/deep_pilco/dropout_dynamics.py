@@ -122,7 +122,8 @@ class DropoutDynamics:
         weights[0] = weights[0] / self.input_std.mT
         for layer, mask in enumerate(masks[1:], 1):
             if mask is not None:
-                biases[layer - 1] = biases[layer - 1].masked_fill(mask == 0, -torch.inf)
+                limit = (mask - 0.5) * torch.inf  # masks are 0 or above 1
+                biases[layer - 1] = torch.minimum(biases[layer - 1], limit)
                 weights[layer] = weights[layer] / (1 - self.drop[layer])
         weights[-1] = weights[-1] * self.target_std
         biases[-1] = biases[-1] * self.target_std + self.target_mean

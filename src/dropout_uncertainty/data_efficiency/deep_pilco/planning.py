@@ -28,6 +28,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco.particles import (
 from dropout_uncertainty.data_efficiency.minimise import batched
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole
 from dropout_uncertainty.data_efficiency.policies import RBFPolicy
+from dropout_uncertainty.settings import tidy
 
 OPTIMISERS = ("adam", "bfgs")
 # Optimisation steps whose particles and masks are drawn at once.
@@ -67,6 +68,7 @@ class Planning:
     """Optimisation steps for which particles and masks are kept (thesis: 1); 0: fixed for all steps of a trial."""
 
     def __post_init__(self) -> None:
+        tidy(self)
         for name, choices in (("matching", MATCHING), ("cost_of", COST_OF), ("optimiser", OPTIMISERS)):
             if getattr(self, name) not in choices:
                 raise ValueError(f"expected {name} to be one of {', '.join(choices)}, got {getattr(self, name)!r}")

@@ -7,6 +7,7 @@ particles K last, where they are contiguous.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import cast
 
 import torch
@@ -67,13 +68,12 @@ class _Network:
         self.biases = function.biases
         self.activation = function.activation
 
-    def change(self, x: Float[Tensor, "R D K"]) -> tuple[Float[Tensor, "R E K"], list[Tensor]]:
-        """Return the change of state and the activations of the hidden layers [R, K, H]."""
-        hidden, h = [], x.mT
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            h = ACTIVATION[self.activation](torch.baddbmm(bias, h, weight))
-            hidden.append(h)
-        return torch.baddbmm(self.biases[-1].mT, self.weights[-1].mT, h.mT), hidden
+    def change(self, x: Float[Tensor, "R D K"], hidden: list[Tensor]) -> Float[Tensor, "R E K"]:
+        """Return the change of state; the activations of the hidden layers [R, K, H] go into ``hidden``."""
+        h = x.mT
+        for weight, bias, out in zip(self.weights[:-1], self.biases[:-1], hidden, strict=True):
+            h = ACTIVATION[self.activation](torch.baddbmm(bias, h, weight, out=out))
+        return torch.baddbmm(self.biases[-1].mT, self.weights[-1].mT, h.mT)
 
     def pull_back(self, gradient: Float[Tensor, "R E K"], hidden: list[Tensor]) -> Float[Tensor, "R D K"]:
         """Return the gradient in the inputs for one in the change of state."""
@@ -97,24 +97,37 @@ class _Trial:
     hidden: list[list[Tensor]]  # by step and layer
 
     @classmethod
+    @lru_cache(maxsize=1)
+    def empty(
+        cls, shape: torch.Size, basis: int, widths: tuple[int, ...], dtype: torch.dtype, device: torch.device
+    ) -> "_Trial":
+        """Return the arrays of a trial, the same at each call: the system would clear tens of MiB anew every time."""
+        runs, steps, count, dim = shape
+
+        def new(*size: int) -> Tensor:
+            return torch.empty(size, dtype=dtype, device=device)
+
+        return cls(
+            new(steps + 1, runs, dim, count), new(runs, ONE.stop, steps, count).fill_(1.0),
+            new(runs, steps, count, basis), new(runs, 1, steps, count),
+            new(steps, runs, dim, count), new(steps, runs, dim, dim),
+            torch.zeros(runs, dtype=torch.bool, device=device),
+            [[new(runs, count, width) for width in widths] for _ in range(steps)],
+        )  # fmt: skip
+
+    @classmethod
     def run(cls, matrix: Tensor, weights: Tensor, plant: CartPole, draws: Draws, networks: list[_Network]) -> "_Trial":
         """Move the particles and keep everything."""
-        runs, steps, count, dim = draws.noise.shape
-        new = matrix.new_empty
-        trial = cls(
-            new(steps + 1, runs, dim, count), new(runs, ONE.stop, steps, count).fill_(1.0),
-            new(runs, steps, count, matrix.shape[-1]), new(runs, 1, steps, count),
-            new(steps, runs, dim, count), new(steps, runs, dim, dim),
-            torch.zeros(runs, dtype=torch.bool, device=matrix.device), [],
-        )  # fmt: skip
+        _, steps, count, dim = draws.noise.shape
+        widths = tuple(weight.shape[-1] for weight in networks[0].weights[:-1])
+        trial = cls.empty(draws.noise.shape, matrix.shape[-1], widths, matrix.dtype, matrix.device)
+        trial.failed.zero_()
         trial.states[0] = draws.start.mT
         scale, jitter = _jitter(matrix, dim, count)
         for t in range(steps):
             state = trial.states[t]
             trial._act(t, state, matrix, weights.mT, plant.force_limit)
-            change, hidden = networks[t % len(networks)].change(trial.inputs[:, NETWORK, t])
-            trial.hidden.append(hidden)
-            moved = change.add_(state)
+            moved = networks[t % len(networks)].change(trial.inputs[:, NETWORK, t], trial.hidden[t]).add_(state)
             mean = moved.mean(-1, keepdim=True)
             centred = torch.sub(moved, mean, out=trial.centred[t])
             cov = torch.addcmul(jitter, torch.bmm(centred, centred.mT), scale)

@@ -18,6 +18,7 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, Ca
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.settings import tidy
 
 __all__ = ["CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start"]
 
@@ -49,6 +50,7 @@ class PilcoConfig:
     start state is uncertain then."""
 
     def __post_init__(self) -> None:
+        tidy(self)
         if self.trials < 1 or self.basis < 1 or self.policy_iterations < 1 or self.model_iterations < 1:
             raise ValueError(f"trials, basis functions and line searches must be positive, got {asdict(self)}")
         if self.inducing < 0 or self.inducing_iterations < 1 or self.target_std <= 0:
@@ -208,11 +210,11 @@ class PilcoLearning(Learner):
         self.done = done = arrays["costs"].shape[1]
         for kept in (self.log, self.counts):
             for name, values in kept.items():
-                values[:, :done] = torch.from_numpy(arrays[name])
+                values[:, :done] = torch.tensor(arrays[name])
         for part, spent in self.seconds.items():
             spent[:done] = seconds[part]
         self.policy, self.hyper = self.log["policy"][:, done - 1].clone(), self.log["hyper"][:, done - 1].clone()
-        self.inducing = torch.from_numpy(arrays["inducing"]) if "inducing" in arrays else None
+        self.inducing = torch.tensor(arrays["inducing"]) if "inducing" in arrays else None
         for trial in range(done):
             self._append(self.log["observed"][:, trial], self.log["forces"][:, trial])
 

@@ -1,12 +1,12 @@
 """The cart-pole swing-up as a Gymnasium environment, for learners from elsewhere; needs the extra ``gym``."""
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import torch
 
 from dropout_uncertainty.data_efficiency.plant import cartpole
-from dropout_uncertainty.data_efficiency.plant.cost import cost
 from dropout_uncertainty.errors import UserError
 
 try:
@@ -15,7 +15,50 @@ try:
 except ImportError as missing:
     raise UserError("the environment needs Gymnasium, which is not installed: pip install 'gymnasium>=1'") from missing
 
-__all__ = ["CartPoleSwingUp"]
+__all__ = ["CartPoleSwingUp", "step"]
+
+
+State = tuple[float, float, float, float]
+# Pieces that a control interval is cut into, at rest and more for each rad/s of the pole's first angular velocity: over
+# random states with up to 35 rad/s the error of an interval stays below 1e-6.
+PIECES, PIECES_PER_SPEED = 10, 0.4
+
+
+def step(plant: cartpole.CartPole, state: State, force: float) -> State:
+    """Return what `cartpole.step` returns, for one state in plain floats: within 1e-6, some hundred times faster.
+
+    Gragg's midpoint rule goes through each piece of the interval in 2, 4 and 6 parts, and the three ends are
+    extrapolated to infinitely many: order 6 (Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I,
+    section II.9).
+    """
+    gravity, friction, length = plant.gravity, plant.friction, plant.pole_length
+    rod, total = 3 * plant.pole_mass, plant.cart_mass + plant.pole_mass
+
+    def slope(v: float, w: float, theta: float) -> tuple[float, float]:
+        sin, cos = math.sin(theta), math.cos(theta)
+        pull, turn = force - friction * v, rod * length * w * w * sin
+        denominator = 4 * total - rod * cos * cos
+        dv = (rod * gravity * sin * cos + 4 * pull - 2 * turn / 3) / denominator
+        return dv, ((6 * pull - turn) * cos + 6 * total * gravity * sin) / (length * denominator)
+
+    pieces = PIECES + int(PIECES_PER_SPEED * abs(state[2]))
+    for _ in range(pieces):
+        first = slope(*state[1:])
+        ends = (_midpoint(slope, state, first, parts, plant.dt / pieces / parts) for parts in (2, 4, 6))
+        x, v, w, theta = (a / 24 - 16 * b / 15 + 81 * c / 40 for a, b, c in zip(*ends, strict=True))
+        state = x, v, w, theta
+    return state
+
+
+def _midpoint(slope: Callable, state: State, first: tuple[float, float], parts: int, h: float) -> State:
+    """Return the state after so many parts of length h, from that and the slope of both velocities at the start."""
+    a, b, c, d = state  # one part before (x, v, w, theta)
+    x, v, w, theta = a + h * b, b + h * first[0], c + h * first[1], d + h * c
+    h *= 2
+    for _ in range(parts - 1):
+        dv, dw = slope(v, w, theta)
+        a, b, c, d, x, v, w, theta = x, v, w, theta, a + h * v, b + h * dv, c + h * dw, d + h * w
+    return x, v, w, theta
 
 
 class CartPoleSwingUp(gymnasium.Env):
@@ -24,6 +67,7 @@ class CartPoleSwingUp(gymnasium.Env):
     Observation: the noisy state (x [m], v [m/s], w [rad/s], theta [rad], 0 upright, not wrapped). Action: the force
     as a share of the plant's limit, in [-1, 1]. Reward: 1 - cost of the true next state, in [0, 1]. The episode is
     truncated after the plant's number of steps and never terminates before. ``info["state"]`` is the true state.
+    The plant moves as that of the learners does, within 1e-6 a step (`step`).
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's interface
@@ -32,16 +76,15 @@ class CartPoleSwingUp(gymnasium.Env):
         self.plant = cartpole.preset(preset)
         self.observation_space = spaces.Box(-np.inf, np.inf, (4,), np.float64)
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
-        self._state: torch.Tensor | None = None
+        self._state: State | None = None
         self._steps = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
         """Draw a start state; return its observation and the true state."""
         super().reset(seed=seed)
-        mean = torch.tensor(self.plant.start_mean, dtype=torch.float64)
-        self._state = state = mean + self.plant.start_std * torch.from_numpy(self.np_random.standard_normal(4))
-        self._steps = 0
-        return self._observe(state), {"state": state.numpy().copy()}
+        state = np.array(self.plant.start_mean) + self.plant.start_std * self.np_random.standard_normal(4)
+        self._state, self._steps = tuple(state.tolist()), 0
+        return self._observe(state), {"state": state}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Apply a force for one control interval.
@@ -55,11 +98,17 @@ class CartPoleSwingUp(gymnasium.Env):
         if share.size != 1 or not abs(share[0]) <= 1:  # NaN is not
             limit = self.plant.force_limit
             raise UserError(f"expected an action of one number in [-1, 1], the share of {limit:g} N, got {action!r}")
-        force = self.plant.force_limit * torch.from_numpy(share)[0]
-        self._state = state = cartpole.step(self.plant, self._state, force)
+        self._state = moved = step(self.plant, self._state, self.plant.force_limit * float(share[0]))
         self._steps += 1
-        reward = 1 - cost(self.plant, state).item()
-        return self._observe(state), reward, False, self._steps >= self.plant.steps, {"state": state.numpy().copy()}
+        state = np.array(moved)
+        return self._observe(state), self._reward(moved), False, self._steps >= self.plant.steps, {"state": state}
 
-    def _observe(self, state: torch.Tensor) -> np.ndarray:
-        return state.numpy() + self.plant.observation_noise * self.np_random.standard_normal(4)
+    def _observe(self, state: np.ndarray) -> np.ndarray:
+        return state + self.plant.observation_noise * self.np_random.standard_normal(4)
+
+    def _reward(self, state: State) -> float:
+        """Return 1 - `cost.cost` of the true state."""
+        x, _, _, theta = state
+        length = self.plant.pole_length
+        square = (x - length * math.sin(theta)) ** 2 + (length * (math.cos(theta) - 1)) ** 2
+        return math.exp(-square / (2 * self.plant.cost_width**2))

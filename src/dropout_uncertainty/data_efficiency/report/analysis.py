@@ -20,7 +20,7 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, CartPole
 from dropout_uncertainty.judging.results import Result, measured, thesis_value
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import CONFIDENCE, Interval, bootstrap_interval, t_interval
+from dropout_uncertainty.stats import CONFIDENCE, Interval, median_interval, t_interval
 
 __all__ = [
     "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "check_quick_deep", "doubt_and_gradient",
@@ -134,8 +134,7 @@ class Learning:
     @property
     def trials_to_solve(self) -> Interval:
         """Trial by which at least half of the repetitions are solved; inf if they are not."""
-        first = self.first_solved
-        return bootstrap_interval(lambda i: float(np.quantile(first[i], 0.5, method="inverted_cdf")), len(first))
+        return median_interval(self.first_solved)
 
     def solved_by(self, trial: int) -> Interval:
         """Share of the repetitions solved by a trial, with its Wilson interval."""

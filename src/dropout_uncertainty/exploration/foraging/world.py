@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
+from dropout_uncertainty.settings import tidy
+
 __all__ = [
     "ACTIONS", "EYES", "FOOD", "INPUTS", "NOTHING", "POISON", "WALL", "WALLS", "Outcome", "Readings", "Rules", "World",
 ]  # fmt: skip
@@ -55,6 +57,10 @@ class Rules:
     """An item on one side of an eye's ray is sensed at a point moved away from the ray by twice its distance to it."""
     doubled_proximity: bool = False
     """Whether the reward for keeping walls at a distance saturates at half the range, as in Karpathy's original."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where a rule is of another type."""
+        tidy(self)
 
 
 class Readings(NamedTuple):

@@ -12,7 +12,14 @@ from dropout_uncertainty.exploration.experiment import BLOCK, CONFIGS, EXPERIMEN
 from dropout_uncertainty.judging.results import Result, measured, thesis_value
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, bootstrap_interval, first_crossing, paired_difference, t_interval
+from dropout_uncertainty.stats import (
+    Interval,
+    bootstrap_interval,
+    first_crossing,
+    median_interval,
+    paired_difference,
+    t_interval,
+)
 
 __all__ = [
     "BLOCKS", "BURN_IN", "EARLY", "LABELS", "LATE", "TARGET", "Agents", "Curves", "advantage", "batches", "block_table",
@@ -175,7 +182,7 @@ def batches(ticks: np.ndarray, unit: int = BLOCK) -> np.ndarray:
 
 def median(values: np.ndarray) -> Interval:
     """Return the median over runs with its bootstrap interval; runs that never arrive count as inf."""
-    return bootstrap_interval(lambda i: float(np.quantile(values[i], 0.5, method="inverted_cdf")), len(values))
+    return median_interval(values)
 
 
 def paired(*curves: Curves) -> tuple[Curves, ...]:
@@ -191,11 +198,12 @@ def advantage(agents: Agents, first: str, second: str) -> Interval:
     """
     slow, fast = (batches(curves.crossings()) for curves in paired(agents[second], agents[first]))
 
-    def ratio(indices: np.ndarray) -> float:
-        late, early = (np.quantile(values[indices], 0.5, method="inverted_cdf") for values in (slow, fast))
-        return 1.0 if late == early else float(late / early)  # also where neither arrives
+    def ratio(indices: np.ndarray) -> np.ndarray:
+        late, early = (np.quantile(values[indices], 0.5, axis=-1, method="inverted_cdf") for values in (slow, fast))
+        # 1 also where neither arrives
+        return np.divide(late, early, out=np.ones_like(late), where=late != early)
 
-    return bootstrap_interval(ratio, len(slow))
+    return bootstrap_interval(ratio, len(slow), vectorized=True)
 
 
 def compare(first: Curves, second: Curves, start: int, stop: int) -> Interval:

@@ -59,7 +59,7 @@ class TrainedAgent:
         self.policy, self.ticks, self.rules = make_policy(self.name, config), config.ticks, config.rules
         self.acts_on_draws = self.policy.draws_weights and mine.draws_until is None
         self.network = QNetwork((STATE_SIZE, *config.hidden, C), [seed])
-        self.network.parameters.copy_(torch.from_numpy(weights[replica, agent]))
+        self.network.parameters.copy_(torch.tensor(weights[replica, agent]))
         self.before, self.taken = np.ones((1, w.INPUTS)), np.zeros((1, C))
 
     def state(self, inputs: NDArray) -> Float[np.ndarray, "1 D"]:

@@ -1,0 +1,1 @@
+"""From the records of Deep Sea to numbers and pictures."""

@@ -1,0 +1,66 @@
+"""The numbers of the noisy pools from runs made up by hand."""
+
+import numpy as np
+import pytest
+
+from dropout_uncertainty.active_learning.experiment import CONFIGS
+from dropout_uncertainty.active_learning.report import pools
+from dropout_uncertainty.active_learning.report.analysis import Row
+
+
+def row(name, level, seeds, kind="ambiguous"):
+    """A curve that lies at ``level`` + seed from 100 acquired points on, and at 90 % before."""
+    labels = np.arange(20, 321, 10)
+    error = np.where(labels - 20 < 100, 90.0, level) + np.array(seeds)[:, None] * (labels >= 120)
+    return Row(name, f"pools/{kind}/{name}", labels, error, tuple(seeds))
+
+
+@pytest.fixture
+def found():
+    rows = [row("dropout/bald", 10.0, (0, 1, 2)), row("softmax/max-entropy", 15.0, (2, 0))]
+    return {**{kind: {} for kind in pools.NOISE}, "clean": {}, "ambiguous": {r.name: r for r in rows}}
+
+
+def test_the_mean_error_is_over_100_to_300_acquired_points(found):
+    assert pools.mean_error(found["ambiguous"]["dropout/bald"]).tolist() == [10, 11, 12]
+
+
+def test_a_contrast_pairs_the_seeds_that_both_rows_have(found):
+    pair = pools.contrast(found, "ambiguous", "dropout/bald", "softmax/max-entropy")
+    assert pair.errors[0].tolist() == [10, 12]
+    assert pair.difference.tolist() == [-5, -5]
+
+
+def test_what_has_not_been_run_is_said_and_not_judged(found):
+    heads, cells = pools.verdicts(found)
+    assert {line[0]: line[-1] for line in cells}["AL11"] == "untested"  # two seeds are too few
+    assert {line[0]: line[4] for line in cells}["AL3e"] == "not run yet"
+    assert all(len(line) == len(heads) for line in cells)
+    heads, cells = pools.which_for_which({kind: {} for kind in found})
+    assert {cell for line in cells for cell in line[1:]} == {"not run yet", None}
+
+
+def test_every_comparison_is_of_rows_that_are_run():
+    for kind, *names in [*pools.CONTRASTS, *((s[0], s[1], s[2]) for s in pools.STATEMENTS.values())]:
+        assert all(f"pools/{kind}/{name}" in CONFIGS for name in names)
+
+
+def test_results_come_from_records_of_a_run(tmp_path, digits, monkeypatch):
+    from dataclasses import replace
+
+    from dropout_uncertainty.active_learning import experiment
+    from dropout_uncertainty.active_learning import pools as pool
+    from dropout_uncertainty.runs import execute
+
+    monkeypatch.setattr(experiment, "split", lambda *a, **k: pool.split(*a, **k, source=400))
+    monkeypatch.setattr(experiment.mnist, "load", lambda: digits)
+    name = "pools/ambiguous/softmax/margin"
+    tiny = replace(CONFIGS[name], epochs=1, rounds=2, subset=50, pool=500, validation=100)
+    monkeypatch.setitem(experiment.CONFIGS, name, tiny)
+    unit = execute.Unit("active_learning", name, experiment.start, tiny, (0,))
+    execute.run([unit], folder=tmp_path, progress=False)
+    results = {result.id: result for result in pools.results(tmp_path)}
+    assert results.keys() == {f"{name}/error", f"{name}/noise"}
+    assert 0 <= results[f"{name}/noise"].ours <= 100
+    task, points = pools.acquired("ambiguous", pools.load(folder=tmp_path)["ambiguous"]["softmax/margin"])
+    assert results[f"{name}/noise"].ours == pytest.approx(100 * task.noise[points].float().mean().item())

@@ -1,0 +1,83 @@
+"""Settings of every section: equal ones have equal hashes, and what cannot be meant is refused in a sentence."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pytest
+
+from dropout_uncertainty.active_learning import experiment as active_learning
+from dropout_uncertainty.data_efficiency.deep_pilco import learner as deep_pilco
+from dropout_uncertainty.data_efficiency.pilco import learner as pilco
+from dropout_uncertainty.data_efficiency.plant import cartpole
+from dropout_uncertainty.exploration import experiment as exploration
+from dropout_uncertainty.exploration.foraging.world import Rules
+from dropout_uncertainty.runs.records import config_hash
+from dropout_uncertainty.settings import tidy
+
+CONFIGS = {
+    "5.2": active_learning.Config(pool=50, subset=20, random_from=30),
+    "5.3": exploration.OURS["epsilon-greedy"],
+    "5.3 rules": Rules(),
+    "5.4 plant": cartpole.PAPER,
+    "5.4 PILCO": pilco.PILCO_PAPER,
+    "5.4 Deep PILCO": deep_pilco.OURS,
+}
+
+
+def numbers(config, kind):
+    """Return the names of the fields that hold a number of that type."""
+    return [field.name for field in fields(config) if type(getattr(config, field.name)) is kind]
+
+
+@dataclass(frozen=True)
+class Settings:
+    count: int = 3
+    most: int | None = None
+    rate: float = 0.5
+    shares: tuple[float, ...] = (0.0, 1.0)
+    widths: tuple[int, ...] = (4,)
+    name: str = "a"
+    on: bool = True
+
+    def __post_init__(self):
+        tidy(self)
+
+
+def test_settings_that_are_meant_alike_are_alike():
+    plain = Settings(count=3, most=7, rate=1.0, shares=(0.0, 1.0), widths=(4, 5))
+    for given in (
+        {"rate": 1, "shares": (0, 1)},
+        {"rate": np.float32(1.0), "shares": np.array([0.0, 1.0])},
+        {"count": np.int8(3), "most": np.uint64(7), "widths": np.array([4, 5]), "on": np.bool_(True)},
+        {"shares": [0, 1.0], "widths": [4, np.int32(5)], "name": np.str_("a")},
+    ):
+        assert config_hash(replace(plain, **given)) == config_hash(plain)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"count": 2.0}, "count must be a whole number, got 2.0"),
+        ({"count": True}, "count must be a whole number, got True"),
+        ({"count": "3"}, "count must be a whole number, got '3'"),
+        ({"most": 2.5}, "most must be a whole number, got 2.5"),
+        ({"rate": float("nan")}, "rate must be a finite number, got nan"),
+        ({"rate": float("inf")}, "rate must be a finite number, got inf"),
+        ({"rate": None}, "rate must be a finite number, got None"),
+        ({"shares": (0.5, "half")}, "shares must be a finite number, got 'half'"),
+        ({"widths": (4.5,)}, "widths must be a whole number, got 4.5"),
+        ({"widths": 4}, "widths must be a tuple, got 4"),
+        ({"name": None}, "name must be of type str, got None"),
+        ({"on": 1}, "on must be of type bool, got 1"),
+    ],
+)
+def test_what_cannot_be_meant_is_one_sentence(given, message):
+    with pytest.raises(ValueError, match=message):
+        Settings(**given)
+
+
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
+def test_every_section_is_held_to_it(config):
+    for name in numbers(config, float):
+        with pytest.raises(ValueError, match=r"must be|number|does nothing here"):
+            replace(config, **{name: float("nan")})
