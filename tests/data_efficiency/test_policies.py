@@ -10,7 +10,7 @@ from dropout_uncertainty.data_efficiency import policies
 from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, feature_moments
 from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, features
 from dropout_uncertainty.data_efficiency.plant.cost import cost, cost_moments, saturating_moments
-from dropout_uncertainty.data_efficiency.policies import LinearController, RBFController
+from dropout_uncertainty.data_efficiency.policies import LinearPolicy, RBFPolicy
 from dropout_uncertainty.rng import generator
 
 HALF_TURN = torch.tensor([0.0, 0, 0, math.pi], dtype=torch.float64)
@@ -18,7 +18,7 @@ HALF_TURN = torch.tensor([0.0, 0, 0, math.pi], dtype=torch.float64)
 
 def controller_of(hyp, inputs, targets):
     """The controller of the original's parameters; it overrules their signal and noise."""
-    return RBFController.from_targets(inputs[None], hyp[: inputs.shape[1]].T[None], targets.T[None])
+    return RBFPolicy.from_targets(inputs[None], hyp[: inputs.shape[1]].T[None], targets.T[None])
 
 
 def output(controller, m, s, limit=None):
@@ -105,8 +105,8 @@ def some_controllers(seed=100):
     def normal(*shape):
         return torch.randn(*shape, generator=g, dtype=torch.float64)
 
-    rbf = RBFController.from_targets(normal(2, 7, 5), 0.3 * normal(2, 1, 5), normal(2, 1, 7))
-    return rbf, LinearController(normal(2, 5, 1), normal(2, 1))
+    rbf = RBFPolicy.from_targets(normal(2, 7, 5), 0.3 * normal(2, 1, 5), normal(2, 1, 7))
+    return rbf, LinearPolicy(normal(2, 5, 1), normal(2, 1))
 
 
 def test_points_in_any_batch_shape_and_within_the_limit():
@@ -128,7 +128,7 @@ def test_rbf_controller_is_a_sum_of_gaussians_and_nearly_meets_its_targets():
     by_hand = (rbf.weights[:, 0] * torch.exp(-(distance**2).sum(-1) / 2)).sum(-1)
     torch.testing.assert_close(rbf(x)[:, 0, 0], by_hand)
     targets = torch.randn(2, 1, 7, generator=generator(100, "targets"), dtype=torch.float64)
-    again = RBFController.from_targets(rbf.centres, rbf.log_length_scales, targets)
+    again = RBFPolicy.from_targets(rbf.centres, rbf.log_length_scales, targets)
     torch.testing.assert_close(again(rbf.centres)[..., 0], targets[:, 0], rtol=0, atol=0.02)
 
 

@@ -1,6 +1,6 @@
-"""Controllers: features of the observed state in, a squashed force out; for points and Gaussians.
+"""Policies: features of the observed state in, a squashed force out; for points and Gaussians.
 
-A controller is a value, a frozen dataclass of tensors with the replica axis R first, so that an optimiser can
+A policy is a value, a frozen dataclass of tensors with the replica axis R first, so that an optimiser can
 build one from any vector of parameters. Calling it gives the preliminary output, before the squash; ``force``
 applies both.
 """
@@ -21,7 +21,7 @@ from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import (
 )
 from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole, features
 
-# The original controller is the posterior mean of a Gaussian process whose signal and noise standard
+# The original policy is the posterior mean of a Gaussian process whose signal and noise standard
 # deviations are fixed to 1 and this (pilco-matlab, control/congp.m); only their ratio matters for the
 # weights.
 NOISE_STD = 0.01
@@ -31,8 +31,8 @@ VARIANCE_JITTER = 1e-6
 
 
 @runtime_checkable
-class Controller(Protocol):
-    """What both controllers offer; D features in, F preliminary outputs out."""
+class Policy(Protocol):
+    """What both policies offer; D features in, F preliminary outputs out."""
 
     def __call__(self, x: Float[Tensor, "R *K D"]) -> Float[Tensor, "R *K F"]:
         """Return the preliminary output at points."""
@@ -42,7 +42,7 @@ class Controller(Protocol):
 
 
 @dataclass(frozen=True)
-class RBFController:
+class RBFPolicy:
     """A weighted sum of N squared-exponential basis functions of height 1, with length-scales per output."""
 
     centres: Float[Tensor, "R N D"]
@@ -55,7 +55,7 @@ class RBFController:
         centres: Float[Tensor, "R N D"],
         log_length_scales: Float[Tensor, "R F D"],
         targets: Float[Tensor, "R F N"],
-    ) -> "RBFController":
+    ) -> "RBFPolicy":
         """Return the posterior mean of a process that saw ``targets`` at ``centres``, as PILCO does."""
         noise = NOISE_STD**2 * torch.eye(centres.shape[-2], dtype=centres.dtype, device=centres.device)
         gram = squared_exponential(centres, centres, log_length_scales, torch.zeros_like(targets[..., 0])) + noise
@@ -78,8 +78,8 @@ class RBFController:
 
 
 @dataclass(frozen=True)
-class LinearController:
-    """A linear controller: ``x @ gain + bias``."""
+class LinearPolicy:
+    """A linear policy: ``x @ gain + bias``."""
 
     gain: Float[Tensor, "R D F"]
     bias: Float[Tensor, "R F"]
@@ -114,14 +114,14 @@ def _squash_constants(width: int, dtype: torch.dtype, device: torch.device) -> t
     return torch.cat((one, 3 * one), 1), torch.cat((9 * one, one)) / 8
 
 
-def force(controller: Controller, plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
+def force(policy: Policy, plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
     """Return the squashed force [N] for (observed) states, within the plant's limit."""
-    return squash(controller(features(state))[..., 0], plant.force_limit)
+    return squash(policy(features(state))[..., 0], plant.force_limit)
 
 
-def force_moments(controller: Controller, limit: float | Tensor, x: Gaussian) -> Moments:
+def force_moments(policy: Policy, limit: float | Tensor, x: Gaussian) -> Moments:
     """Return the moments of the squashed output, the preliminary one matched by a Gaussian."""
-    preliminary = controller.moments(x)
+    preliminary = policy.moments(x)
     squashed = squash_moments(preliminary.out, limit)
     return Moments(squashed.mean, squashed.cov, preliminary.slope @ squashed.slope)
 

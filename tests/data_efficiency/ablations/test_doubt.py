@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import doubt
 from dropout_uncertainty.data_efficiency.configs import CONFIGS
 from dropout_uncertainty.data_efficiency.deep_pilco.ensemble import Ensemble
@@ -30,6 +31,12 @@ def coarse_plant():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cartpole, "step", lambda plant, state, force: accurate(plant, state, force, 2))
         yield
+
+
+def start(config, seeds, **options):
+    """Return the process of a config of the family."""
+    name = "pilco-mean" if isinstance(config, pilco.PilcoConfig) else "ensemble"
+    return configs.units(f"doubt/{name}")[0].start(config, seeds, **options)
 
 
 def finish(process):
@@ -63,9 +70,9 @@ def test_the_text_differs_from_ours_in_thirteen_choices():
 
 @pytest.mark.parametrize("name", ["ensemble", "ensemble-mean", "mean-network", "as-text-mean"])
 def test_learners_run_and_leave_small_records(name):
-    process = finish(doubt.start(replace(doubt.CONFIGS[f"doubt/{name}"], **SMALL), (100, 101)))
+    process = finish(start(replace(doubt.CONFIGS[f"doubt/{name}"], **SMALL), (100, 101)))
     record = process.result()
-    assert set(record) == {*doubt.DoubtRun.KEPT, *process.COUNTS}
+    assert set(record) == {*doubt.KEPT, *process.COUNTS}
     assert np.isfinite(record["costs"]).all()
     assert np.isfinite(record["predicted_std"][:, 1:]).all()
     assert sum(array.nbytes for array in record.values()) < 4000
@@ -73,23 +80,23 @@ def test_learners_run_and_leave_small_records(name):
 
 def test_an_ensemble_continues_and_a_repetition_is_the_same_alone(tmp_path):
     config = replace(doubt.CONFIGS["doubt/ensemble"], **SMALL, guard=0.5)
-    whole = finish(doubt.start(config, (100, 101), precision="float64"))
+    whole = finish(start(config, (100, 101), precision="float64"))
     assert isinstance(whole.model, Ensemble)
-    half = doubt.start(config, (100, 101), precision="float64")
+    half = start(config, (100, 101), precision="float64")
     half.advance()
     half.advance()
     torch.save(half.state(), tmp_path / "state.pt")
-    other = doubt.start(config, (100, 101), precision="float64")
+    other = start(config, (100, 101), precision="float64")
     other.restore(torch.load(tmp_path / "state.pt", weights_only=True))
     for name, expected in whole.result().items():
         np.testing.assert_array_equal(finish(other).result()[name], expected, err_msg=name)
-    single = finish(doubt.start(config, (101,), precision="float64"))
+    single = finish(start(config, (101,), precision="float64"))
     torch.testing.assert_close(single.log["costs"][0], whole.log["costs"][1], rtol=1e-9, atol=1e-9)
 
 
 def test_a_sure_ensemble_parts_its_particles_no_further_than_their_start():
     config = replace(doubt.CONFIGS["doubt/ensemble"], **SMALL)
-    doubting, sure = (finish(doubt.start(replace(config, doubt=d), (100,), precision="float64")) for d in (True, False))
+    doubting, sure = (finish(start(replace(config, doubt=d), (100,), precision="float64")) for d in (True, False))
     wide, narrow = (p.log["predicted_std"][0, 1, -1] for p in (doubting, sure))
     assert (narrow < wide).all()
 
@@ -99,10 +106,10 @@ def test_pilco_on_its_mean_plans_without_the_variance_of_its_model(monkeypatch):
     seen = []
     improve = planning.improve
     monkeypatch.setattr(planning, "improve", lambda model, *rest: seen.append(model) or improve(model, *rest))
-    process = finish(doubt.start(config, (100,), precision="float64"))
+    process = finish(start(config, (100,), precision="float64"))
     assert all(model.precision is None and model.fixed for model in seen)
     record = process.result()
-    assert set(record) == {*doubt.PilcoDoubtRun.KEPT, *process.COUNTS}
+    assert set(record) == {*doubt.KEPT_PILCO, *process.COUNTS}
     usual = finish(pilco.start(replace(config, doubt=True), (100,)))
     assert seen[-1].precision is not None
     np.testing.assert_array_equal(record["states"][:, 0], usual.result()["states"][:, 0])
@@ -110,15 +117,15 @@ def test_pilco_on_its_mean_plans_without_the_variance_of_its_model(monkeypatch):
 
 
 def test_units_and_bad_input_are_named():
-    (unit,) = doubt.units("doubt/pilco-mean", (100, 101))
+    (unit,) = configs.units("doubt/pilco-mean", (100, 101))
     assert (unit.label, unit.precision) == ("data_efficiency/doubt/pilco-mean/100-101", "float64")
-    assert doubt.units("doubt/ensemble", (100,))[0].precision == "float32"
-    with pytest.raises(UserError, match="unknown config 'doubt/nothing', choose one of doubt/mean-network"):
-        doubt.units("doubt/nothing")
+    assert configs.units("doubt/ensemble", (100,))[0].precision == "float32"
+    with pytest.raises(UserError, match="unknown config 'doubt/nothing', choose one of pilco-paper"):
+        configs.units("doubt/nothing")
     with pytest.raises(ValueError, match="PILCO runs in float64, got float32"):
-        doubt.start(doubt.CONFIGS["doubt/pilco-mean"], (100,))
+        start(doubt.CONFIGS["doubt/pilco-mean"], (100,), precision="float32")
     with pytest.raises(ValueError, match="got bfloat16"):
-        doubt.start(doubt.CONFIGS["doubt/ensemble"], (100,), precision="bfloat16")
+        start(doubt.CONFIGS["doubt/ensemble"], (100,), precision="bfloat16")
     with pytest.raises(ValueError, match=r"several without dropout, got 5 with 0\.05"):
         replace(OURS, ensemble=5)
     with pytest.raises(ValueError, match="share 32 particles"):

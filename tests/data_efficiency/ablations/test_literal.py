@@ -2,8 +2,9 @@
 
 import pytest
 
+from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import literal
-from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS, SearchRun
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
 
@@ -24,8 +25,8 @@ def test_all_choices_together_lead_from_the_text_to_ours():
 
 
 def test_units_leave_small_records_and_bad_names_are_named():
-    (unit,) = literal.units("literal/add/clip", range(100, 110))
+    (unit,) = configs.units("literal/add/clip", range(100, 110))
     assert unit.label == "data_efficiency/literal/add/clip/100-109"
-    assert isinstance(unit.start(unit.config, (100,)), SearchRun)
+    assert unit.start(unit.config, (100,)).kept == ("costs", "predicted_cost", "model_loss")
     with pytest.raises(UserError, match="unknown config 'literal/add/nothing'"):
-        literal.units("literal/add/nothing")
+        configs.units("literal/add/nothing")

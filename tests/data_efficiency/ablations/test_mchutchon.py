@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import mchutchon
 from dropout_uncertainty.data_efficiency.deep_pilco import planning
 from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian
@@ -76,7 +77,7 @@ def test_repetitions_run_and_are_the_same_alone(name):
         while process.done < process.total:
             process.advance()
     record = many.result()
-    assert set(record) == {*many.KEPT, *many.COUNTS}
+    assert set(record) == {*many.kept, *many.COUNTS}
     assert np.isfinite(record["predicted_variance"][:, 1:]).all()
     assert not record["policy_repairs"].any()
     torch.testing.assert_close(one.log["costs"][0], many.log["costs"][1], rtol=1e-6, atol=1e-6)
@@ -94,4 +95,4 @@ def test_the_six_settings_and_bad_ones():
     with pytest.raises(ValueError, match="float64, got float32"):
         mchutchon.start(mchutchon.CONFIGS["mchutchon/fixed-bfgs-off"], (100,), precision="float32")
     with pytest.raises(UserError, match="unknown config 'mchutchon/nothing'"):
-        mchutchon.units("mchutchon/nothing")
+        configs.units("mchutchon/nothing")

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from dropout_uncertainty import cli
+from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import probes, scaling, variants
 from dropout_uncertainty.data_efficiency.ablations.variants import BASE, CONFIGS, MECHANISM, VARIANTS
 from dropout_uncertainty.data_efficiency.deep_pilco import learner as experiment
@@ -78,10 +79,10 @@ def test_the_command_line_knows_the_family():
     assert cli.config_names("what-matters", modules) == list(CONFIGS)
     for name in CONFIGS:
         assert modules[name].CONFIGS[name] is CONFIGS[name]
-        (unit,) = variants.units(name, range(10))
+        (unit,) = configs.units(name, range(10))
         assert unit.label == f"data_efficiency/{name}/000-009"
     with pytest.raises(UserError, match="unknown config 'what-matters/nothing'"):
-        variants.units("what-matters/nothing")
+        configs.units("what-matters/nothing")
 
 
 def test_the_base_learns_as_ours_does(ours):
@@ -159,7 +160,7 @@ def test_clouds_are_those_of_their_plans(looked):
     config = replace(looked.config, hold_masks=True, matching="off")
     (draws,) = planning.draw(looked.model, config.plant, config, config.cloud, "mechanism", "cloud", 2)
     (function,) = draws.functions
-    controller = looked.shape.controller(looked.policy)
+    controller = looked.shape.policy(looked.policy)
     matrix, weights = probes.multiplied_out(controller)
     state = draws.start
     for t in range(config.plant.steps):
@@ -177,7 +178,7 @@ def test_objective_without_matching_is_a_mean_over_particles(looked):
     few = list(planning.draw(looked.model, config.plant, config, 4, "bias", blocks=8))
     moved = []
     for draws in few:
-        prediction = probes.predict(looked.shape.controller(looked.policy), config.plant, draws, "off")
+        prediction = probes.predict(looked.shape.policy(looked.policy), config.plant, draws, "off")
         moved.append(prediction.particles)
     whole = probes.cost(config.plant, torch.cat(moved, 2)).mean((1, 2))
     torch.testing.assert_close(values.mean(0), whole)

@@ -19,7 +19,7 @@ def data(runs=2, count=30):
 
 @pytest.fixture(scope="module")
 def fitted():
-    ensemble = Ensemble((100, 101), 3, **OPTIONS)
+    ensemble = Ensemble.of((100, 101), 3, **OPTIONS)
     inputs, targets = data()
     return ensemble, *ensemble.fit(inputs, targets, "fit", **FIT)
 
@@ -79,7 +79,7 @@ def test_selected_replicas_keep_their_members(fitted):
 
 def test_state_restores_an_ensemble(fitted):
     ensemble, *_ = fitted
-    other = Ensemble((100, 101), 3, **OPTIONS)
+    other = Ensemble.of((100, 101), 3, **OPTIONS)
     other.restore(ensemble.state())
     x = data()[0][:, :6]
     assert torch.equal(other.function(())(x), ensemble.function(())(x))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.deep_pilco import learner as experiment
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, derivative
@@ -74,7 +75,7 @@ def test_record_holds_consistent_trials(finished):
 
 def test_the_recorded_controller_gives_the_recorded_forces(finished):
     record = finished.result()
-    controller = finished.shape.controller(torch.from_numpy(record["policy"][:, 0]).double())
+    controller = finished.shape.policy(torch.from_numpy(record["policy"][:, 0]).double())
     again = force(controller, SHORT.plant, finished.log["observed"][:, 1, :-1])
     np.testing.assert_allclose(again.numpy(), record["forces"][:, 1], rtol=0, atol=1e-4)
 
@@ -161,14 +162,14 @@ def test_a_controller_that_is_lost_is_redrawn_and_counted():
 
 
 def test_units_cut_seeds_into_batches():
-    units = experiment.units("deep-pilco-ours", range(100, 125))
+    units = configs.units("deep-pilco-ours", range(100, 125))
     assert [len(unit.seeds) for unit in units] == [20, 5]
     assert units[0].label == "data_efficiency/deep-pilco-ours/100-119"
     assert units[0].config == experiment.OURS
 
 
 def test_records_of_the_search_are_small():
-    (unit,) = experiment.units("search/start", (100, 101))
+    (unit,) = configs.units("search/start", (100, 101))
     assert unit.label == "data_efficiency/search/start/100-101"
     record = finish(unit.start(SHORT, (100, 101))).result()
     assert set(record) == {"costs", "predicted_cost", "model_loss", *experiment.DeepPilcoLearning.COUNTS}
@@ -182,8 +183,8 @@ def test_published_records_fit_into_five_megabytes():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(UserError, match="unknown config 'deep', choose one of deep-pilco-ours"):
-        experiment.units("deep")
+    with pytest.raises(UserError, match="unknown config 'deep', choose one of pilco-paper"):
+        configs.units("deep")
     with pytest.raises(ValueError, match="at least one seed"):
         experiment.start(SHORT, ())
     with pytest.raises(ValueError, match="got bfloat16"):

@@ -56,7 +56,7 @@ class TestLinearGaussian:
         self.start = torch.tensor(PLANT.start_mean, dtype=torch.float64) + 0.2 * white[:, 0]
         change = torch.cat((self.A.T - torch.eye(4), torch.zeros(1, 4)))[None]  # rows: the state, then the force
         function = DrawnFunction((change,), (torch.zeros(1, 1, 4).double(),), angle_features=False)
-        controller = SHAPE.controller(policies((100,)))
+        controller = SHAPE.policy(policies((100,)))
         draws = Draws(self.start, (function,), white[:, 1:])
         return particles.predict(controller, replace(PLANT, steps=steps), draws, matching)
 
@@ -112,7 +112,7 @@ def particle_by_particle(made, masks, controller, start, noise, matching):
 @pytest.mark.parametrize("matching", particles.MATCHING)
 def test_predictions_equal_particles_moved_one_by_one(matching):
     made = model((100,))
-    draws, controller = draws_of(made, PLAN, 3), SHAPE.controller(policies((100,)))
+    draws, controller = draws_of(made, PLAN, 3), SHAPE.policy(policies((100,)))
     found = particles.predict(controller, PLANT, draws, matching)
     masks = made.draw(PLAN.particles, 3)
     expected = particle_by_particle(made, masks, controller, draws.start[0], draws.noise[0], matching)
@@ -143,7 +143,7 @@ def test_gradients_equal_finite_differences_under_fixed_draws(matching, cost_of,
 def by_autograd(plan, parameters, draws):
     """Return what `planning.objective` returns, by autograd through `particles.predict`."""
     leaf = parameters.clone().requires_grad_()
-    value = particles.predict(SHAPE.controller(leaf), PLANT, draws, plan.matching).costs(PLANT).mean(-1)
+    value = particles.predict(SHAPE.policy(leaf), PLANT, draws, plan.matching).costs(PLANT).mean(-1)
     return value.detach(), torch.autograd.grad(value.sum(), leaf)[0]
 
 
@@ -304,7 +304,7 @@ class TestGuard:
 
 def test_first_controllers_cover_the_states_around_the_hanging_pole():
     shape = RBFShape(400)
-    controller = shape.controller(shape.initial(SPREAD, 0.5, generator(100))[None])
+    controller = shape.policy(shape.initial(SPREAD, 0.5, generator(100))[None])
     np.testing.assert_allclose(controller.centres[0].mean(0), [0, 0, 0, 0, -1], atol=0.5)
     np.testing.assert_allclose(controller.centres[0].std(0), SPREAD, rtol=0.15)
     np.testing.assert_allclose(controller.log_length_scales[0, 0].exp(), SPREAD)
@@ -313,7 +313,7 @@ def test_first_controllers_cover_the_states_around_the_hanging_pole():
 
 @pytest.mark.parametrize("angle_features", [True, False])
 def test_particles_are_steered_as_the_real_cart(angle_features):
-    controller, states = SHAPE.controller(policies()), 2 * normal(2, 9, 4)
+    controller, states = SHAPE.policy(policies()), 2 * normal(2, 9, 4)
     got = particles.act(states, *particles.multiplied_out(controller), 10.0, angle_features)
     torch.testing.assert_close(got[..., -1], force(controller, PLANT, states), rtol=1e-9, atol=1e-9)
     assert torch.equal(got[..., :-1], features(states) if angle_features else states)

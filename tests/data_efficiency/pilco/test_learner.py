@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from dropout_uncertainty.data_efficiency import policies
+from dropout_uncertainty.data_efficiency import configs, policies
 from dropout_uncertainty.data_efficiency.gaussians import moments, squared_exponential
 from dropout_uncertainty.data_efficiency.minimise.batched import Minimum
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
@@ -33,6 +34,9 @@ SHORT = replace(
     policy_iterations=3,
     model_iterations=10,
 )
+
+
+longer = partial(learner.start, kind=learner.ContinuedPilco)
 
 
 def finish(process):
@@ -78,7 +82,7 @@ def test_models_learn_from_every_transition_seen(finished):
 
 def test_the_recorded_controller_gives_the_recorded_forces(finished):
     record = finished.result()
-    controller = finished.shape.controller(torch.from_numpy(record["policy"][:, 2]).double())
+    controller = finished.shape.policy(torch.from_numpy(record["policy"][:, 2]).double())
     again = force(controller, SHORT.plant, torch.from_numpy(record["observed"][:, 2, :-1]).double())
     np.testing.assert_allclose(again.numpy(), record["forces"][:, 2], rtol=0, atol=2e-2)
 
@@ -106,7 +110,7 @@ def shorter(tmp_path, monkeypatch):
 
 def test_a_longer_run_goes_on_from_the_records_of_the_folder_that_it_is_given(finished, shorter, tmp_path):
     seconds = shorter.header["provenance"]["policy_cpu_s"]
-    process = learner.start_longer(SHORT, (100, 101))
+    process = longer(SHORT, (100, 101))
     assert process.done == 0, "a cold start, until it is told to inherit"
     (parent,) = process.inherit(tmp_path / "given")
     assert (parent["record"], parent["checksum"]) == (shorter.label, shorter.header["checksum"])
@@ -114,7 +118,7 @@ def test_a_longer_run_goes_on_from_the_records_of_the_folder_that_it_is_given(fi
     assert process.seconds["policy"][: SHORT.trials] == pytest.approx(seconds)
     for name, expected in finish(process).result().items():
         np.testing.assert_array_equal(expected, finished.result()[name], err_msg=name)
-    alone = learner.start_longer(SHORT, (101,))
+    alone = longer(SHORT, (101,))
     (half,) = alone.inherit(tmp_path / "given")
     assert alone.seconds["policy"][1] == pytest.approx(seconds[1] / 2)
     assert half["cpu_s"] == pytest.approx(shorter.header["provenance"]["cpu_s"] / 2)
@@ -124,12 +128,12 @@ def test_a_longer_run_goes_on_from_the_records_of_the_folder_that_it_is_given(fi
         (SHORT, (100, 101), "cuda", "given"),  # not from records of a CPU
         (SHORT, (100, 101), "cpu", "empty"),
     ):
-        cold = learner.start_longer(config, seeds, device=device)
+        cold = longer(config, seeds, device=device)
         assert (cold.inherit(tmp_path / folder), cold.done) == ([], 0)
 
 
 def test_its_record_names_the_parent_counts_the_whole_cost_and_is_recomputed_from_a_cold_start(shorter, tmp_path):
-    unit = Unit("data_efficiency", "longer", learner.start_longer, SHORT, (100, 101), "cpu", "float64")
+    unit = Unit("data_efficiency", "longer", longer, SHORT, (100, 101), "cpu", "float64")
     record = execute.run_unit(unit, tmp_path / "given")
     (parent,), origin = record.header["parents"], record.header["provenance"]
     assert (parent["record"], parent["checksum"]) == ("data_efficiency/short/100-101.npz", shorter.header["checksum"])
@@ -220,9 +224,9 @@ def test_models_are_evaluated_on_their_device_and_all_else_stays_on_the_cpu(monk
 
 
 def test_units_cut_seeds_into_batches_and_presets_differ_in_the_plant_only():
-    units = learner.units("pilco-paper", range(100, 145))
+    units = configs.units("pilco-paper", range(100, 145))
     assert [len(unit.seeds) for unit in units] == [20, 20, 5]
-    assert [len(unit.seeds) for unit in learner.units("pilco-paper", device="cuda")] == [40]
+    assert [len(unit.seeds) for unit in configs.units("pilco-paper", device="cuda")] == [40]
     assert units[0].label == "data_efficiency/pilco-paper/100-119"
     assert replace(learner.PILCO_PAPER, plant=MATLAB) == learner.PILCO_MATLAB
 
@@ -239,7 +243,7 @@ def test_record_says_where_the_computing_time_went(tmp_path):
 
 def test_bad_input_is_named():
     with pytest.raises(RunError, match=r"unknown config 'pilco', choose one of pilco-paper, pilco-matlab"):
-        learner.units("pilco")
+        configs.units("pilco")
     with pytest.raises(ValueError, match="at least one seed"):
         learner.start(SHORT, ())
     with pytest.raises(ValueError, match="must be positive"):

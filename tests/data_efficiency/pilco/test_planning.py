@@ -12,7 +12,7 @@ from dropout_uncertainty.data_efficiency.pilco import planning
 from dropout_uncertainty.data_efficiency.pilco.gaussian_process import GaussianProcess
 from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, features
 from dropout_uncertainty.data_efficiency.plant.cost import cost
-from dropout_uncertainty.data_efficiency.policies import RBFController
+from dropout_uncertainty.data_efficiency.policies import RBFPolicy
 from dropout_uncertainty.rng import generator
 
 # the original's angle is 0 where the pole hangs: sines and cosines of our angle have the other sign
@@ -27,7 +27,7 @@ def model_of(case):
 
 
 def controller_of(hyp, inputs, targets):
-    return RBFController.from_targets((inputs * TURN[:5])[None], hyp[:5].T[None], targets.T[None])
+    return RBFPolicy.from_targets((inputs * TURN[:5])[None], hyp[:5].T[None], targets.T[None])
 
 
 @pytest.mark.parametrize("number", range(5))
@@ -108,7 +108,7 @@ def test_objective_has_the_right_gradient():
 
 def test_one_step_agrees_with_brute_force_particles():
     model, plant, shape, parameters = toy()
-    controller = shape.controller(parameters)
+    controller = shape.policy(parameters)
     start = planning.start_distribution(plant, 2)
     start = Gaussian(start.mean - 2.0, start.cov)
     predicted = planning.propagate(model, controller, plant.force_limit, start)
@@ -142,7 +142,7 @@ def test_gradients_by_step_sum_to_that_of_the_objective():
     torch.testing.assert_close(doubting.sum(1), gradient, rtol=1e-9, atol=1e-12)
     leaf = parameters.clone().requires_grad_()
     mean = torch.tensor(plant.start_mean, dtype=torch.float64).expand(2, 4)
-    visited = planning.predict_points(model, shape.controller(leaf), plant, mean)
+    visited = planning.predict_points(model, shape.policy(leaf), plant, mean)
     (expected,) = torch.autograd.grad(cost(plant, visited[:, 3]).sum(), leaf)
     torch.testing.assert_close(sure[:, 2], expected)
     assert states.mean.shape == (2, 6, 4)
@@ -150,7 +150,7 @@ def test_gradients_by_step_sum_to_that_of_the_objective():
 
 def test_a_trial_without_doubt_follows_the_model_s_mean():
     model, plant, shape, parameters = toy()
-    controller, start = shape.controller(parameters), planning.start_distribution(plant, 2)
+    controller, start = shape.policy(parameters), planning.start_distribution(plant, 2)
     points = planning.predict_points(model, controller, plant, start.mean)
     certain = Gaussian(start.mean, torch.zeros_like(start.cov))
     after = planning.propagate(model, controller, plant.force_limit, certain).mean
@@ -204,6 +204,6 @@ def test_bad_input_is_named():
     model, plant, shape, parameters = toy()
     bad = Gaussian(torch.zeros(2, 4, dtype=torch.float64), -torch.eye(4, dtype=torch.float64).expand(2, 4, 4))
     with pytest.raises(ValueError, match="smallest eigenvalue is -1"):
-        planning.predict(model, shape.controller(parameters), plant, bad)
+        planning.predict(model, shape.policy(parameters), plant, bad)
     with pytest.raises(ValueError, match="got 4 states and 4 forces"):
         planning.transitions(torch.zeros(1, 4, 4), torch.zeros(1, 4))

@@ -5,21 +5,17 @@ ensembles; as the thesis says it, on draws and on the mean network; and PILCO wi
 `deep-pilco-ours`, `deep-pilco-as-text` and `pilco-paper-15` are the learners with doubt that the others pair up with.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
-
-import numpy as np
+from functools import partial
 
 from dropout_uncertainty.data_efficiency.deep_pilco import learner
-from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS, DeepPilcoConfig, SearchRun
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS, DeepPilcoConfig
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.data_efficiency.pilco import learner as pilco
-from dropout_uncertainty.data_efficiency.pilco.learner import LONGER, PilcoConfig, PilcoLearning
-from dropout_uncertainty.runs import sweep
+from dropout_uncertainty.data_efficiency.pilco.learner import LONGER, PilcoConfig
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import Unit, precision_dtype
 
-__all__ = ["CONFIGS", "FAMILY", "TRIALS", "WITH_DOUBT", "DoubtRun", "PilcoDoubtRun", "start", "units"]
+__all__ = ["CONFIGS", "FAMILY", "KEPT", "KEPT_PILCO", "TRIALS", "WITH_DOUBT"]
 
 FAMILY = "doubt"
 #: Controlled trials of the Deep PILCO learners: those within which the thesis's succeeds.
@@ -48,51 +44,13 @@ CONFIGS: dict[str, DeepPilcoConfig | PilcoConfig] = {
 }
 
 
-class DoubtRun(SearchRun):
-    """Deep PILCO with a small record: costs, and predicted and true states."""
-
-    KEPT = ("costs", "predicted_cost", "states", "predicted_mean", "predicted_std")
-
-
-class PilcoDoubtRun(PilcoLearning):
-    """PILCO with a small record of the same."""
-
-    KEPT = ("costs", "predicted_cost", "states", "predicted_mean", "predicted_variance")
-
-    def result(self) -> dict[str, np.ndarray]:
-        """Return predicted and realised costs and states [R, trial, ...], and how often something was mended."""
-        arrays = super().result()
-        return {name: arrays[name] for name in (*self.KEPT, *self.COUNTS)}
-
-
-def start(
-    config: DeepPilcoConfig | PilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32"
-) -> DoubtRun | PilcoDoubtRun:
-    """Return the process of one unit.
-
-    Raises:
-        ValueError: without seeds, or for a precision that the method does not run in.
-    """
-    if isinstance(config, PilcoConfig):
-        if precision != "float64":
-            raise ValueError(f"PILCO runs in float64, got {precision}; leave it out")
-        return PilcoDoubtRun(config, seeds, device)
-    if precision == "bfloat16":
-        raise ValueError("Deep PILCO runs in float32 or float64, got bfloat16")
-    return DoubtRun(config, seeds, device, precision_dtype(precision))
-
-
+#: The arrays of the small records: costs, and predicted and true states.
+KEPT = ("costs", "predicted_cost", "states", "predicted_mean", "predicted_std")
+KEPT_PILCO = (*KEPT[:-1], "predicted_variance")
 SWEEPS = [
     Sweep(EXPERIMENT, {n: c for n, c in CONFIGS.items() if isinstance(c, kind)}, start, precisions, GROUP, 40, memory)
-    for kind, precisions, memory in (
-        (DeepPilcoConfig, ("float32", "float64"), learner.memory),
-        (PilcoConfig, ("float64",), pilco.memory),
+    for kind, start, precisions, memory in (
+        (DeepPilcoConfig, partial(learner.start, kept=KEPT), ("float32", "float64"), learner.memory),
+        (PilcoConfig, partial(pilco.start, kept=KEPT_PILCO), ("float64",), pilco.memory),
     )
 ]
-
-
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units(SWEEPS, name, seeds, device, precision)

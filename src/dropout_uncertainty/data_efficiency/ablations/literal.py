@@ -4,17 +4,15 @@
 text. The changes are the fields in which the two configs differ.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from dropout_uncertainty.data_efficiency.deep_pilco import learner
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS, DeepPilcoConfig
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
-from dropout_uncertainty.runs import records, sweep
+from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import Unit
 
-__all__ = ["CHANGES", "CONFIGS", "FAMILY", "TRIALS", "units"]
+__all__ = ["CHANGES", "CONFIGS", "FAMILY", "TRIALS"]
 
 FAMILY = "literal"
 #: Controlled trials: those within which the thesis's learner succeeds.
@@ -34,10 +32,3 @@ CONFIGS: dict[str, DeepPilcoConfig] = {
 
 
 SWEEPS = [Sweep(EXPERIMENT, CONFIGS, learner.start_search, ("float32", "float64"), GROUP, 10, learner.memory)]
-
-
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units(SWEEPS, name, seeds, device, precision)

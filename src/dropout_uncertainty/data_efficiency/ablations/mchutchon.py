@@ -1,12 +1,13 @@
 """Particles through PILCO's Gaussian process, the failed predecessor of Deep PILCO (thesis section 5.4.2; DE5c).
 
 McHutchon (Nonlinear modelling and control using Gaussian processes, 2014) moved fixed particles and improved the
-controller by BFGS. Here PILCO learns as ever, but its controller is improved by the code that moves Deep PILCO's
+policy by BFGS. Here PILCO learns as ever, but its policy is improved by the code that moves Deep PILCO's
 particles: fixed ones with BFGS or fresh ones with Adam, under each way to match moments. Replicas R first; float64.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Any
 
 import torch
@@ -15,21 +16,19 @@ from torch import Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import Masks
-from dropout_uncertainty.data_efficiency.ablations.doubt import PilcoDoubtRun
+from dropout_uncertainty.data_efficiency.ablations.doubt import KEPT_PILCO
 from dropout_uncertainty.data_efficiency.deep_pilco import particles, planning
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import PREDICTED
 from dropout_uncertainty.data_efficiency.deep_pilco.particles import MATCHING
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import Planning
 from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import SquaredExponential
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
-from dropout_uncertainty.data_efficiency.pilco.learner import LONGER, PilcoConfig
-from dropout_uncertainty.runs import sweep
+from dropout_uncertainty.data_efficiency.pilco import learner as pilco
+from dropout_uncertainty.data_efficiency.pilco.learner import LONGER, PilcoConfig, PilcoLearning
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import Unit
 
 __all__ = [
     "CONFIGS", "FAMILY", "GaussianDynamics", "GaussianFunction", "ParticlePilco", "ParticlePilcoConfig", "start",
-    "units",
 ]  # fmt: skip
 
 FAMILY = "mchutchon"
@@ -39,7 +38,7 @@ LEAST_VARIANCE = 1e-10
 
 @dataclass(frozen=True)
 class ParticlePilcoConfig(PilcoConfig):
-    """PILCO whose controller is improved on particles."""
+    """PILCO whose policy is improved on particles."""
 
     planning: Planning = field(default_factory=lambda: Planning(hold_masks=False))
     """Particles and optimiser: those of `OURS` where nothing else is said. A process has no weights to hold, so each
@@ -112,7 +111,7 @@ class GaussianDynamics:
         return GaussianDynamics(self.posterior.select(rows), [self.seeds[row] for row in rows])
 
 
-class ParticlePilco(PilcoDoubtRun):
+class ParticlePilco(PilcoLearning):
     """R repetitions of PILCO with particles in one batch."""
 
     config: ParticlePilcoConfig
@@ -132,21 +131,12 @@ class ParticlePilco(PilcoDoubtRun):
         dynamics = GaussianDynamics(model, self.seeds)
         draws = next(planning.draw(dynamics, plant, plan, PREDICTED, "record", trial))
         with torch.no_grad():
-            controller = self.shape.controller(self.policy.to(self.device))
-            prediction = particles.predict(controller, plant, draws, plan.matching)
+            policy = self.shape.policy(self.policy.to(self.device))
+            prediction = particles.predict(policy, plant, draws, plan.matching)
         self.log["predicted_mean"][:, trial] = torch.cat((draws.start.mean(1)[:, None], prediction.mean), 1)
         start_variance = draws.start.var(1, correction=0)[:, None]
         self.log["predicted_variance"][:, trial] = torch.cat((start_variance, prediction.variance), 1)
         self.log["predicted_cost"][:, trial] = prediction.costs(plant)
-
-
-def start(
-    config: ParticlePilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float64"
-) -> ParticlePilco:
-    """Return the process of one unit; raises ValueError for another precision than float64."""
-    if precision != "float64":
-        raise ValueError(f"PILCO runs in float64, got {precision}; leave it out")
-    return ParticlePilco(config, seeds, device)
 
 
 def memory(config: ParticlePilcoConfig) -> float:
@@ -155,11 +145,5 @@ def memory(config: ParticlePilcoConfig) -> float:
     return 8.0 * 6 * 4 * config.plant.steps * max(config.planning.particles, PREDICTED) * data
 
 
+start = partial(pilco.start, kind=ParticlePilco, kept=KEPT_PILCO)
 SWEEPS = [Sweep(EXPERIMENT, CONFIGS, start, ("float64",), GROUP, 10, memory)]
-
-
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units(SWEEPS, name, seeds, device, precision)

@@ -1,6 +1,6 @@
 """Why Deep PILCO works, measured while it learns: the learner `OURS`, looked into after some of its trials.
 
-The measurements have random streams of their own and leave network and controller as they are, so learning goes as it
+The measurements have random streams of their own and leave network and policy as they are, so learning goes as it
 would without them. What they serve: clouds of particles under masks held or redrawn, with moments matched or not
 (claims DE4 and DE6), the scatter of the policy gradient (DE4), the objective against the number of particles, and the
 three ways of lowering it (DE5).
@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.deep_pilco import planning
-from dropout_uncertainty.data_efficiency.deep_pilco.learner import DeepPilcoConfig, SearchRun
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import DeepPilcoConfig, DeepPilcoLearning
 from dropout_uncertainty.data_efficiency.deep_pilco.particles import (
     MATCHING,
     Draws,
@@ -30,9 +30,9 @@ from dropout_uncertainty.data_efficiency.deep_pilco.particles import (
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import Planning
 from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
-from dropout_uncertainty.data_efficiency.policies import RBFController
+from dropout_uncertainty.data_efficiency.policies import RBFPolicy
 
-__all__ = ["CLOUDS", "OPTIMISERS", "PARTED", "Mechanism", "MechanismConfig", "valley"]
+__all__ = ["CLOUDS", "KEPT", "OPTIMISERS", "PARTED", "Mechanism", "MechanismConfig", "valley"]
 
 #: The 2 x 2 of claim DE6: masks held over the trajectory or redrawn at each step, moments matched or not.
 CLOUDS: dict[str, dict[str, Any]] = {
@@ -49,6 +49,8 @@ OPTIMISERS: dict[str, dict[str, Any]] = {
 }
 #: Particles have parted where the density between two groups is a quarter below the lower peak or more (`valley`).
 PARTED = 0.25
+#: What is kept of learning itself.
+KEPT = ("costs", "predicted_cost")
 #: A group with a smaller share of the particles counts as stragglers, not as a second mode.
 LEAST_GROUP = 0.1
 
@@ -76,14 +78,14 @@ class MechanismConfig(DeepPilcoConfig):
             raise ValueError(f"expected horizons of 1 to {self.plant.steps} steps, got {self.horizons}")
 
 
-class Mechanism(SearchRun):
+class Mechanism(DeepPilcoLearning):
     """R repetitions of Deep PILCO in one batch, looked into after the trials ``config.measured``."""
 
-    KEPT = ("costs", "predicted_cost")
+    STATE = (*DeepPilcoLearning.STATE, "found")
     config: MechanismConfig
 
     def __init__(self, config: MechanismConfig, seeds: Sequence[int], device: str, dtype: torch.dtype) -> None:
-        super().__init__(config, seeds, device, dtype)
+        super().__init__(config, seeds, device, dtype, KEPT)
         self.measured = tuple(trial for trial in config.measured if trial <= config.trials)
         steps, clouds, ways, horizons = config.plant.steps, len(CLOUDS), len(MATCHING), len(config.horizons)
         sizes = {
@@ -95,10 +97,9 @@ class Mechanism(SearchRun):
             "gradient_norm": (ways, horizons),  # of the mean over draws
             "objective": (ways, len(config.counts)),  # mean over draws
             "reached": (len(OPTIMISERS),),  # the objective that a search ended with, by its own account
-            "fresh": (len(OPTIMISERS),),  # the objective of the same controllers on particles they have not seen
+            "fresh": (len(OPTIMISERS),),  # the objective of the same policies on particles they have not seen
         }
-        shape = len(self.seeds), len(self.measured)
-        self.found = {k: torch.full((*shape, *s), torch.nan, dtype=torch.float64) for k, s in sizes.items()}
+        self.found = self._blank(sizes, len(self.measured))
 
     def advance(self) -> str:
         """Do a trial as the learner does, then measure if it is time to."""
@@ -109,20 +110,20 @@ class Mechanism(SearchRun):
         return status
 
     def _measure(self, before: Tensor) -> None:
-        """Measure around the trial just done; ``before`` is the controller from which its search began."""
+        """Measure around the trial just done; ``before`` is the policy from which its search began."""
         self._measure_clouds()
         self._measure_gradient(before)
         self._measure_objective()
         self._measure_optimisers(before)
 
     def _measure_clouds(self) -> None:
-        config, controller = self.config, self.shape.controller(self.policy)
+        config, policy = self.config, self.shape.policy(self.policy)
         for index, change in enumerate(CLOUDS.values()):
             plan = replace(config, **change)
             (draws,) = self._draws(plan, config.cloud, 1, "cloud")
             with torch.no_grad():
-                prediction = predict(controller, config.plant, draws, plan.matching)
-                moved = before_matching(controller, config.plant, draws, prediction)
+                prediction = predict(policy, config.plant, draws, plan.matching)
+                moved = before_matching(policy, config.plant, draws, prediction)
             self._note("cloud_mean", prediction.mean, index)
             self._note("cloud_std", prediction.variance.sqrt(), index)
             self._note("cloud_valley", valley(moved[..., 3]), index)
@@ -156,12 +157,12 @@ class Mechanism(SearchRun):
             self._note("reached", found.value, index)
             self._note("fresh", self._objective(found.parameters, config, config.particles, "fresh"), index)
 
-    def _objective(self, policy: Tensor, plan: Planning, count: int, name: str) -> Float[Tensor, " R"]:
+    def _objective(self, parameters: Tensor, plan: Planning, count: int, name: str) -> Float[Tensor, " R"]:
         """Return the objective, averaged over draws of ``count`` particles."""
-        plant, controller = self.config.plant, self.shape.controller(policy)
+        plant, policy = self.config.plant, self.shape.policy(parameters)
         with torch.no_grad():
             values = [
-                predict(controller, plant, draws, plan.matching).costs(plant).mean(-1)
+                predict(policy, plant, draws, plan.matching).costs(plant).mean(-1)
                 for draws in self._draws(plan, count, self.config.objective_draws, name)
             ]
         return torch.stack(values).mean(0)
@@ -175,10 +176,6 @@ class Mechanism(SearchRun):
         where: tuple[slice | int, ...] = (slice(None), self.measured.index(self.done - 1), *place)
         self.found[name][where] = value.double().cpu()
 
-    def state(self) -> dict:
-        """Return everything needed to continue."""
-        return {**super().state(), "found": self.found}
-
     def result(self) -> dict[str, np.ndarray]:
         """Return the small record of learning, true states and measurements [R, measured trial, ...]."""
         states = self.log["states"][:, list(self.measured)].numpy().astype(np.float32)
@@ -187,10 +184,10 @@ class Mechanism(SearchRun):
 
 
 def before_matching(
-    controller: RBFController, plant: CartPole, draws: Draws, prediction: Prediction
+    policy: RBFPolicy, plant: CartPole, draws: Draws, prediction: Prediction
 ) -> Float[Tensor, "R T K 4"]:
     """Return the particles of a predicted trial as the model left them at each step, before a Gaussian was fitted."""
-    matrix, weights = multiplied_out(controller)
+    matrix, weights = multiplied_out(policy)
     state, moved = draws.start, []
     for t in range(plant.steps):
         function = draws.functions[t % len(draws.functions)]

@@ -1,8 +1,8 @@
 """Time per trial of PILCO and Deep PILCO against transitions N, inputs Q and outputs D (claim DE8).
 
 Transitions are synthetic, so that N, Q and D can be chosen. What is timed is what depends on them: fitting the
-dynamics model, and predicting a trial through it with the gradient that a controller's search needs. A linear map from
-the state to the model's inputs stands for features and controller. A trial is made of as many evaluations as the
+dynamics model, and predicting a trial through it with the gradient that a policy's search needs. A linear map from
+the state to the model's inputs stands for features and policy. A trial is made of as many evaluations as the
 configs have optimisation steps (of PILCO: line searches, taken to need one each); a few are timed, the rest is
 multiplied out. PILCO has its exact Gaussian process, no inducing inputs, in float64.
 
@@ -113,7 +113,7 @@ class Scaling:
         return [(fit, float(config.model_iterations)), (policy, config.policy_iterations * config.plant.steps / count)]
 
     def _deep(self, method: str, seed: int, n: int, q: int, d: int) -> list[tuple[Callable[[], float], float]]:
-        """Return the work of some steps of the fit and of a step of the controller, and how often they occur."""
+        """Return the work of some steps of the fit and of a step of the policy, and how often they occur."""
         config, count = self.config.deep, self.config.timed
         x, y = transitions(seed, n, q, d, self.dtype)
         plan = replace(config, matching="diagonal") if method == "deep-pilco-diagonal" else config
@@ -159,7 +159,7 @@ def transitions(seed: int, n: int, q: int, d: int, dtype: torch.dtype) -> tuple[
 
 
 def linear_map(seed: int, d: int, q: int, dtype: torch.dtype) -> Float[Tensor, "D Q"]:
-    """Return the map from state to inputs; the gradient is taken in it, as it is in a controller's parameters."""
+    """Return the map from state to inputs; the gradient is taken in it, as it is in a policy's parameters."""
     noise = torch.randn(d, q, generator=generator(seed, "scaling", "map", d, q), dtype=torch.float64)
     return (noise / (d * q) ** 0.5).to(dtype).requires_grad_()
 
@@ -207,5 +207,7 @@ def timed(work: Callable[[], float]) -> tuple[float, float]:
 def _one_thread() -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -9,16 +9,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from dropout_uncertainty.data_efficiency.ablations.probes import Mechanism, MechanismConfig
+from dropout_uncertainty.data_efficiency.ablations.probes import KEPT, Mechanism, MechanismConfig
 from dropout_uncertainty.data_efficiency.ablations.scaling import Scaling, ScalingConfig
 from dropout_uncertainty.data_efficiency.deep_pilco import learner
-from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, SearchRun
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, DeepPilcoLearning
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
-from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import Unit, precision_dtype
 
-__all__ = ["CONFIGS", "FAMILY", "TRIALS", "VARIANTS", "Variant", "VariantConfig", "VariantRun", "start", "units"]
+__all__ = ["CONFIGS", "FAMILY", "TRIALS", "VARIANTS", "Variant", "VariantConfig", "start"]
 
 FAMILY = "what-matters"
 #: Controlled trials of every variant: by then `OURS` has solved the task long ago on development seeds.
@@ -30,7 +28,7 @@ class VariantConfig(DeepPilcoConfig):
     """The learner of `deep_pilco.learner`; `doubt` is part of the published identity of these configs."""
 
     doubt: bool = True
-    """The controller is improved on draws of the weights (`DeepPilcoConfig.doubt`)."""
+    """The policy is improved on draws of the weights (`DeepPilcoConfig.doubt`)."""
 
 
 #: `OURS` for fewer trials: what a variant differs from in its named fields alone.
@@ -87,31 +85,23 @@ CONFIGS: dict[str, VariantConfig | MechanismConfig | ScalingConfig] = {
 }
 
 
-class VariantRun(SearchRun):
-    """A variant's learner, with a small record."""
-
-    KEPT = ("costs", "predicted_cost")
-
-
 def start(
     config: VariantConfig | MechanismConfig | ScalingConfig,
     seeds: Sequence[int],
     device: str = "cpu",
     precision: str = "float32",
-) -> VariantRun | Mechanism | Scaling:
-    """Return the process of one unit.
+) -> DeepPilcoLearning | Scaling:
+    """Return the process of one unit; the record of a learner is small.
 
     Raises:
         ValueError: without seeds, for bfloat16, or if times are to be taken elsewhere than on the CPU.
     """
-    if precision == "bfloat16":
-        raise ValueError("Deep PILCO runs in float32 or float64, got bfloat16")
-    dtype = precision_dtype(precision)
+    dtype = learner.dtype_of(precision)
     if isinstance(config, ScalingConfig):
         return Scaling(config, seeds, device, dtype)
     if isinstance(config, MechanismConfig):
         return Mechanism(config, seeds, device, dtype)
-    return VariantRun(config, seeds, device, dtype)
+    return DeepPilcoLearning(config, seeds, device, dtype, KEPT)
 
 
 def memory(config: VariantConfig | MechanismConfig | ScalingConfig) -> float:
@@ -129,10 +119,3 @@ SWEEPS = [
         ({f"{FAMILY}/scaling": SCALING}, {"cpu": GROUP["cpu"]}),
     )
 ]
-
-
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units(SWEEPS, name, seeds, device, precision)

@@ -4,6 +4,7 @@ A draw of the weights, ω̂ ~ q(ω), is a set of masks, one row per particle (`b
 turns it into the function that each particle follows: whoever keeps the function, keeps the draw. Replicas R first.
 """
 
+import copy
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -130,17 +131,14 @@ class DropoutDynamics:
 
     def mean(self) -> "MeanDynamics":
         """Return the mean networks (weight scaling) in the place of their draws; parameters and scaling are shared."""
-        view = object.__new__(MeanDynamics)
-        view.__dict__.update(self.__dict__)
-        return view
+        return MeanDynamics(self)
 
     def select(self, replicas: Sequence[int]) -> "DropoutDynamics":
         """Return a copy with some of the replicas."""
         rows = list(replicas)
         if rows == list(range(len(self.seeds))):
             return self
-        part = object.__new__(type(self))
-        part.__dict__.update(self.__dict__)
+        part = copy.copy(self)
         part.seeds = tuple(self.seeds[row] for row in rows)
         dtype, device = self.log_noise.dtype, self.log_noise.device
         part.net = MLP(self.sizes, self.drop, part.seeds, activation=self.activation, dtype=dtype).to(device)
@@ -285,12 +283,33 @@ class DropoutDynamics:
             setattr(self, name, state[name].to(self.log_noise))
 
 
-class MeanDynamics(DropoutDynamics):
+@dataclass(frozen=True)
+class MeanDynamics:
     """A model that is sure of itself: networks trained with dropout, followed by all particles without it."""
+
+    networks: DropoutDynamics
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """One per replica."""
+        return self.networks.seeds
+
+    @property
+    def log_noise(self) -> Tensor:
+        """Logarithms of the noise standard deviations of the networks."""
+        return self.networks.log_noise
 
     def draw(self, count: int, *path: str | int) -> Masks:
         """Return no masks: the deterministic pass."""
-        return (None,) * len(self.drop)
+        return ()
+
+    def function(self, masks: Masks | None) -> DrawnFunction:
+        """Return the function that all particles follow."""
+        return self.networks.function(None)
+
+    def select(self, replicas: Sequence[int]) -> "MeanDynamics":
+        """Return a copy with some of the replicas."""
+        return MeanDynamics(self.networks.select(replicas))
 
 
 def _scaling(data: Tensor) -> tuple[Tensor, Tensor]:

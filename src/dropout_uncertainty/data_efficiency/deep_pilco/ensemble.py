@@ -6,7 +6,7 @@ member has equally many particles. Replicas R first, then members M.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -42,19 +42,20 @@ class MembersFunction:
         return shared.unflatten(0, (-1, self.members)).flatten(1, 2)
 
 
+@dataclass(frozen=True)
 class Ensemble:
-    """R ensembles of networks without dropout, which differ in their first weights and their minibatches.
+    """R ensembles of networks without dropout, which differ in their first weights and their minibatches."""
 
-    Args:
-        seeds: one per replica.
-        members: networks M of each.
-        options: of the networks (`DropoutDynamics`).
-    """
+    seeds: tuple[int, ...]  # one per replica
+    members: int  # networks M of each
+    networks: DropoutDynamics  # R M of them
+    averaged: bool = False  # all particles follow the mean of the members
 
-    def __init__(self, seeds: Sequence[int], members: int, **options: Any) -> None:
-        self.seeds, self.members, self.averaged = tuple(seeds), members, False
+    @classmethod
+    def of(cls, seeds: Sequence[int], members: int, **options: Any) -> "Ensemble":
+        """Return new ensembles; the options are those of the networks (`DropoutDynamics`)."""
         own = [derived(seed, "member", member) for seed in seeds for member in range(members)]
-        self.networks = DropoutDynamics(own, drop=0.0, **options)
+        return cls(tuple(seeds), members, DropoutDynamics(own, drop=0.0, **options))
 
     @property
     def log_noise(self) -> Tensor:
@@ -87,13 +88,13 @@ class Ensemble:
 
     def mean(self) -> "Ensemble":
         """Return the ensemble whose particles all follow the mean of its members; parameters are shared."""
-        return self._view(averaged=True)
+        return replace(self, averaged=True)
 
     def select(self, replicas: Sequence[int]) -> "Ensemble":
         """Return a copy with some of the replicas."""
         networks = torch.arange(len(self.seeds) * self.members).unflatten(0, (-1, self.members))[list(replicas)]
         seeds = tuple(self.seeds[row] for row in replicas)
-        return self._view(seeds=seeds, networks=self.networks.select(networks.flatten().tolist()))
+        return replace(self, seeds=seeds, networks=self.networks.select(networks.flatten().tolist()))
 
     def state(self) -> dict[str, Tensor]:
         """Return a copy of all that a fit changes."""
@@ -102,8 +103,3 @@ class Ensemble:
     def restore(self, state: dict[str, Tensor]) -> None:
         """Continue from `state()` of an ensemble made with the same arguments."""
         self.networks.restore(state)
-
-    def _view(self, **changes: Any) -> "Ensemble":
-        view = object.__new__(type(self))
-        view.__dict__.update(self.__dict__ | changes)
-        return view

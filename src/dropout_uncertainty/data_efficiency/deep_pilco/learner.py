@@ -1,27 +1,23 @@
 """Deep PILCO learning the cart-pole swing-up: a unit is a batch of repetitions, a step of its process is a trial."""
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
-from dropout_uncertainty import rng
-from dropout_uncertainty.data_efficiency import policies
 from dropout_uncertainty.data_efficiency.deep_pilco import particles, planning
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
 from dropout_uncertainty.data_efficiency.deep_pilco.ensemble import Ensemble
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import Dynamics, Planning
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, Learner
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole, Rollout
-from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
-from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import Unit, precision_dtype
+from dropout_uncertainty.runs.unit import precision_dtype
 
 __all__ = [
     "AS_TEXT",
@@ -32,12 +28,11 @@ __all__ = [
     "DeepPilcoConfig",
     "DeepPilcoLearning",
     "start",
-    "units",
 ]
 
-#: Trials whose controllers are kept, for the animations and figure 5.8.
+#: Trials whose policies are kept, for the animations and figure 5.8.
 SHOWN = (1, 2, 3, 5, 10, 20, 26, 40)
-#: True trials of each shown controller from fresh start states, beside the one it learns from (figure 5.8, green).
+#: True trials of each shown policy from fresh start states, beside the one it learns from (figure 5.8, green).
 REPEATS = 5
 #: Particles of the recorded prediction: more than are planned with, since it is drawn and not optimised.
 PREDICTED = 100
@@ -84,18 +79,18 @@ class DeepPilcoConfig(Planning):
     memory: int = 0
     """The network learns from that many last trials (paper: 10); 0, as in the thesis: from all."""
     basis: int = 50
-    """Basis functions of the controller (paper)."""
+    """Basis functions of the policy (paper)."""
     spread: tuple[float, ...] = (1.0, 2.0, 4.0, 0.7, 0.7)
     """Standard deviations of the first centres in x, v, w, sin θ, cos θ, and first length-scales; our choice."""
     weight_std: float = 0.5
     """Standard deviation of the first weights of the basis functions; our choice. The pole must be thrown about early,
     or the data teach nothing."""
     guard: float = 0.98
-    """A controller whose predicted cost per step stays above this is drawn anew; 1, as in thesis and paper: never."""
+    """A policy whose predicted cost per step stays above this is drawn anew; 1, as in thesis and paper: never."""
     redraws: int = 2
     """How often at most, per trial."""
     doubt: bool = field(default=True, metadata={"before": True})
-    """The controller is improved on draws of the weights. Otherwise on the mean network (weight scaling): a model that
+    """The policy is improved on draws of the weights. Otherwise on the mean network (weight scaling): a model that
     was trained with dropout and is sure of itself. With an ensemble, on its members or on the mean of their outputs."""
     ensemble: int = field(default=1, metadata={"before": 1})
     """Networks without dropout, each with its own first weights and minibatches, that share the particles; 1, as in
@@ -160,67 +155,59 @@ CONFIGS: dict[str, DeepPilcoConfig] = {
 }
 
 
-class DeepPilcoLearning:
+class DeepPilcoLearning(Learner):
     """R repetitions of Deep PILCO (thesis algorithms 3 and 4) in one batch; step 0 is the random trial."""
 
-    #: 2: the gradients of controller and network are worked out by hand.
+    #: 2: the gradients of policy and network are worked out by hand.
     ROUNDING = 2
     COUNTS = (
         "model_repairs",  # steps left out since the likelihood was not finite, networks that had to begin anew
         "policy_repairs",  # steps left out since predicted cost or gradient was not finite
-        "policy_redrawn",  # times the guard tried another controller
+        "policy_redrawn",  # times the guard tried another policy
     )
+    config: DeepPilcoConfig
 
-    def __init__(self, config: DeepPilcoConfig, seeds: Sequence[int], device: str, dtype: torch.dtype) -> None:
-        self.config, self.seeds = config, rng.check_seeds(seeds)
-        self.total, self.done = config.trials + 1, 0
-        self.shape = planning.RBFShape(config.basis)
+    def __init__(
+        self,
+        config: DeepPilcoConfig,
+        seeds: Sequence[int],
+        device: str,
+        dtype: torch.dtype,
+        kept: Sequence[str] | None = None,
+    ) -> None:
+        super().__init__(config, seeds, planning.RBFShape(config.basis), kept)
         common: dict[str, Any] = {
             "hidden": config.hidden, "activation": config.activation, "angle_features": config.angle_features,
             "standardise": config.standardise, "dtype": dtype, "device": device,
         }  # fmt: skip
         self.model: DropoutDynamics | Ensemble = (
-            Ensemble(self.seeds, config.ensemble, **common)
+            Ensemble.of(self.seeds, config.ensemble, **common)
             if config.ensemble > 1
             else DropoutDynamics(self.seeds, drop=config.drop, input_drop=config.input_drop, **common)
         )
         self.policy = self._draw_policy(0)
         self.shown = tuple(trial for trial in SHOWN if trial <= config.trials)
-        times, steps, trials, shown = config.plant.steps + 1, config.plant.steps, self.total, len(self.shown)
+        times, steps = config.plant.steps + 1, config.plant.steps
         sizes = {
-            "states": (trials, times, 4),  # true
-            "observed": (trials, times, 4),
-            "forces": (trials, steps),  # [N]
-            "costs": (trials, steps),  # realised, of the true states 1 ... T
-            "predicted_mean": (trials, times, 4),  # of the particles, before they are resampled
-            "predicted_std": (trials, times, 4),
-            "predicted_cost": (trials, steps),
-            "model_loss": (trials,),  # [nats per transition]
-            "noise_std": (trials, 4),  # learned
-            "policy": (shown, self.shape.size),
-            "repeats": (shown, REPEATS, times, 4),  # true states of further trials of the same controller
+            "predicted_mean": (times, 4),  # of the particles, before they are resampled
+            "predicted_std": (times, 4),
+            "predicted_cost": (steps,),
+            "model_loss": (),  # [nats per transition]
+            "noise_std": (4,),  # learned
         }
-        self.log = {k: torch.full((len(self.seeds), *s), torch.nan, dtype=torch.float64) for k, s in sizes.items()}
-        self.counts = {name: torch.zeros(len(self.seeds), trials, dtype=torch.int64) for name in self.COUNTS}
-        self.seconds = {name: [0.0] * trials for name in ("model", "policy", "trial")}  # CPU, all repetitions
+        shown = {
+            "policy": (self.shape.size,),
+            "repeats": (REPEATS, times, 4),  # true states of further trials of the same policy
+        }
+        self.log |= self._blank(sizes, self.total) | self._blank(shown, len(self.shown))
 
-    def advance(self) -> str:
-        """Train, improve the controller and run one trial; the first trial has random forces."""
-        begun = time.process_time()
-        if self.done:
+    def _learn(self) -> None:
+        with self._timed("model"):
             self._train()
-            trained = time.process_time()
-            self._improve()
-            self._predict()
-            self.seconds["model"][self.done] = trained - begun
-            begun, self.seconds["policy"][self.done] = time.process_time(), time.process_time() - trained
-        self._run_trial()
-        self._show()
-        self.seconds["trial"][self.done] = time.process_time() - begun
-        costs = self.log["costs"][:, self.done]
-        self.done += 1
-        count = int(solved(self.config.plant, costs).sum())
-        return f"cost {costs.mean():.3f}, solved {count}/{len(self.seeds)}"
+        with self._timed("policy"):
+            planned = self._planned()
+            self._improve(planned)
+            self._predict(planned)
 
     def _train(self) -> None:
         """Algorithm 3, line 5: fit the network to the transitions of the trials that are remembered."""
@@ -237,29 +224,29 @@ class DeepPilcoLearning:
         self.log["noise_std"][:, trial] = self.model.noise_std()
         self.counts["model_repairs"][:, trial] = repairs
 
-    def _improve(self) -> None:
-        """Algorithm 3, lines 6 to 8: lower the predicted cost from the last controller on."""
+    def _planned(self) -> Dynamics:
+        """Return the model that the policy is improved on."""
+        return self.model if self.config.doubt else self.model.mean()
+
+    def _improve(self, model: Dynamics) -> None:
+        """Algorithm 3, lines 6 to 8: lower the predicted cost from the last policy on."""
         config, trial = self.config, self.done
         attempts = config.redraws if config.guard < 1 else 0
         fresh = [self._draw_policy(trial, attempt) for attempt in range(1, attempts + 1)]
         best, redraws = planning.guarded(
-            self._planned(), config.plant, self.shape, config, self.policy, fresh, config.guard, trial
+            model, config.plant, self.shape, config, self.policy, fresh, config.guard, trial
         )
         self.policy = best.parameters
         self.counts["policy_repairs"][:, trial] = best.repairs
         self.counts["policy_redrawn"][:, trial] = redraws
 
-    def _planned(self) -> Dynamics:
-        """Return the model that the controller is improved on."""
-        return self.model if self.config.doubt else self.model.mean()
-
-    def _predict(self) -> None:
-        """Record what the model expects of the controller that is about to be tried."""
+    def _predict(self, model: Dynamics) -> None:
+        """Record what the model expects of the policy that is about to be tried."""
         config, trial = self.config, self.done
-        draws = next(planning.draw(self._planned(), config.plant, config, PREDICTED, "record", trial))
+        draws = next(planning.draw(model, config.plant, config, PREDICTED, "record", trial))
         with torch.no_grad():
-            controller = self.shape.controller(self.policy)
-            prediction = particles.predict(controller, config.plant, draws, config.matching)
+            policy = self.shape.policy(self.policy)
+            prediction = particles.predict(policy, config.plant, draws, config.matching)
         self.log["predicted_mean"][:, trial, 0] = draws.start.mean(1)
         self.log["predicted_std"][:, trial, 0] = draws.start.std(1)
         self.log["predicted_mean"][:, trial, 1:] = prediction.mean
@@ -267,40 +254,19 @@ class DeepPilcoLearning:
         self.log["predicted_cost"][:, trial] = prediction.costs(config.plant)
 
     def _run_trial(self) -> None:
-        """Algorithm 3, line 4: run the trial and keep it."""
-        plant, trial = self.config.plant, self.done
-        begin = self._draw(lambda g: cartpole.start_states(plant, (), g), "start", trial)
-        noise = self._draw(lambda g: cartpole.observation_noise(plant, (plant.steps + 1,), g), "noise", trial)
-        if trial == 0:
-            random = self._draw(lambda g: torch.rand(plant.steps, generator=g, dtype=torch.float64), "forces", trial)
-            forces = plant.force_limit * (2 * random - 1)
-            done = self._execute(begin, lambda _, t: forces[:, t], noise)
-        else:
-            done = self._execute(begin, self._act, noise)
-        self.log["costs"][:, trial] = cost(plant, done.states[:, 1:])
-        for name in ("states", "observed", "forces"):
-            self.log[name][:, trial] = getattr(done, name)
+        super()._run_trial()
+        if self.done in self.shown:
+            self._show(self.shown.index(self.done))
 
-    def _show(self) -> None:
-        """Keep the controller of some trials, and run it again from other start states; nothing is learned from it."""
-        plant, trial = self.config.plant, self.done
-        if trial not in self.shown:
-            return
-        place = self.shown.index(trial)
-        begin = self._draw(lambda g: cartpole.start_states(plant, (REPEATS,), g), "repeated start", trial)
-        shape = (REPEATS, plant.steps + 1)
-        noise = self._draw(lambda g: cartpole.observation_noise(plant, shape, g), "repeated noise", trial)
+    def _show(self, place: int) -> None:
+        """Keep the policy, and run it again from other start states; nothing is learned from it."""
         self.log["policy"][:, place] = self.policy
-        self.log["repeats"][:, place] = self._execute(begin, self._act, noise).states
+        self.log["repeats"][:, place] = self._execute(*self._begin("repeated ", (REPEATS,)), self._act()).states
 
-    def _act(self, observed: Tensor, _: int) -> Tensor:
-        controller = self.shape.controller(self.policy.double().cpu())
-        return policies.force(controller, self.config.plant, observed)
-
-    def _execute(self, begin: Tensor, act: Callable[[Tensor, int], Tensor], noise: Tensor) -> Rollout:
+    def _execute(self, begin: Tensor, noise: Tensor, act: Callable[[Tensor, int], Tensor]) -> Rollout:
         plant = self.config.plant
         if self.config.integration == "runge-kutta":
-            return cartpole.rollout(plant, begin, act, noise)
+            return super()._execute(begin, noise, act)
         states, forces = [begin], []
         for t in range(plant.steps):
             forces.append(act(states[-1] + noise[..., t, :], t))
@@ -308,31 +274,27 @@ class DeepPilcoLearning:
         visited = torch.stack(states, -2)
         return Rollout(visited, visited + noise, torch.stack(forces, -1))
 
-    def _draw(self, draw: Any, *path: str | int) -> Tensor:
-        return rng.stacked(draw, self.seeds, "environment", *path)
+    def _initial(self, generator: Generator) -> Tensor:
+        return self.shape.initial(self.config.spread, self.config.weight_std, generator)
 
     def _draw_policy(self, *path: int) -> Tensor:
-        spread, weight_std = self.config.spread, self.config.weight_std
-        drawn = rng.stacked(lambda g: self.shape.initial(spread, weight_std, g), self.seeds, "policy", *path)
-        return drawn.to(self.model.log_noise)
+        return super()._draw_policy(*path).to(self.model.log_noise)
 
     def state(self) -> dict[str, Any]:
         """Return everything needed to continue."""
-        kept = ("done", "policy", "log", "counts", "seconds")
-        return {"model": self.model.state(), **{name: getattr(self, name) for name in kept}}
+        return super().state() | {"model": self.model.state()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from `state()` of a process made with the same arguments."""
         self.model.restore(state["model"])
-        for name, value in state.items():
-            if name != "model":
-                setattr(self, name, value)
+        super().restore({name: value for name, value in state.items() if name != "model"})
         self.policy = self.policy.to(self.model.log_noise)
 
     def result(self) -> dict[str, np.ndarray]:
         """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN.
 
-        Observed states are left out: they follow from the seed. What is only drawn is kept in half precision.
+        Observed states are left out: they follow from the seed. What is only drawn is kept in half precision, and so
+        is all of a small record.
         """
         half = {"predicted_mean", "predicted_std", "predicted_cost", "repeats"}
         arrays = {
@@ -340,45 +302,30 @@ class DeepPilcoLearning:
             for name, value in self.log.items()
             if name != "observed"
         }
-        shown = np.array(self.shown, dtype=np.int32)
-        return arrays | {k: v.numpy().astype(np.int32) for k, v in self.counts.items()} | {"shown": shown}
-
-    def timings(self) -> dict[str, list[float]]:
-        """Return CPU seconds per trial of all repetitions together, by part."""
-        return {f"{name}_cpu_s": values for name, values in self.seconds.items()}
-
-
-class SearchRun(DeepPilcoLearning):
-    """The same, with a small record: only how each trial went."""
-
-    KEPT: tuple[str, ...] = ("costs", "predicted_cost", "model_loss")
-
-    def result(self) -> dict[str, np.ndarray]:
-        """Return predicted and realised costs [R, trial, T] in half precision, and how often something was mended."""
-        arrays = super().result()
-        counts = {name: arrays[name].astype(np.int16) for name in self.COUNTS}
-        return {name: arrays[name].astype(np.float16) for name in self.KEPT} | counts
+        counts = super().result()
+        if self.kept is None:
+            return arrays | counts | {"shown": np.array(self.shown, dtype=np.int32)}
+        small = {name: arrays[name].astype(np.float16) for name in self.kept}
+        return small | {name: count.astype(np.int16) for name, count in counts.items()}
 
 
 def start(
-    config: DeepPilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32"
+    config: DeepPilcoConfig,
+    seeds: Sequence[int],
+    device: str = "cpu",
+    precision: str = "float32",
+    kept: Sequence[str] | None = None,
 ) -> DeepPilcoLearning:
-    """Return the process of one unit.
+    """Return the process of one unit; `kept` names the arrays of a small record.
 
     Raises:
         ValueError: without seeds, or for bfloat16, which has no Cholesky factor.
     """
-    return DeepPilcoLearning(config, seeds, device, _dtype(precision))
+    return DeepPilcoLearning(config, seeds, device, dtype_of(precision), kept)
 
 
-def start_search(
-    config: DeepPilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32"
-) -> SearchRun:
-    """Return the process of one unit of the search; raises ValueError as `start` does."""
-    return SearchRun(config, seeds, device, _dtype(precision))
-
-
-def _dtype(precision: str) -> torch.dtype:
+def dtype_of(precision: str) -> torch.dtype:
+    """Return the dtype of a precision; raises ValueError for bfloat16."""
     if precision == "bfloat16":
         raise ValueError("Deep PILCO runs in float32 or float64, got bfloat16")
     return precision_dtype(precision)
@@ -390,6 +337,8 @@ def memory(config: DeepPilcoConfig) -> float:
     return 8.0 * config.plant.steps * max(config.particles, PREDICTED) * wide * 8
 
 
+#: How each trial went.
+start_search = partial(start, kept=("costs", "predicted_cost", "model_loss"))
 SWEEPS = [
     Sweep(EXPERIMENT, configs, begin, ("float32", "float64"), GROUP, repetitions=40, memory=memory)
     for configs, begin in (
@@ -397,10 +346,3 @@ SWEEPS = [
         (SEARCH, start_search),
     )
 ]
-
-
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units(SWEEPS, name, seeds, device, precision)

@@ -14,7 +14,7 @@ from torch import Tensor
 from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import nan_cholesky
 from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
-from dropout_uncertainty.data_efficiency.policies import RBFController, squash
+from dropout_uncertainty.data_efficiency.policies import RBFPolicy, squash
 
 MATCHING = ("full", "diagonal", "off")
 COST_OF = ("particles", "mean")
@@ -37,7 +37,7 @@ class Function(Protocol):
 
 @dataclass(frozen=True)
 class Draws:
-    """The random numbers of one predicted trial: what makes its cost a function of the controller alone."""
+    """The random numbers of one predicted trial: what makes its cost a function of the policy alone."""
 
     start: Float[Tensor, "R K 4"]  # particles at time 0
     functions: tuple[Function, ...]  # one, held for the whole trial, or one per step
@@ -57,12 +57,12 @@ class Prediction:
         return cost(plant, self.particles).mean(-1) if of == "particles" else cost(plant, self.particles.mean(-2))
 
 
-def predict(controller: RBFController, plant: CartPole, draws: Draws, matching: str = "full") -> Prediction:
-    """Return the predicted trial of a controller under given draws, differentiable in the controller's parameters.
+def predict(policy: RBFPolicy, plant: CartPole, draws: Draws, matching: str = "full") -> Prediction:
+    """Return the predicted trial of a policy under given draws, differentiable in the policy's parameters.
 
     The model's noise is not added to the states.
     """
-    matrix, weights = multiplied_out(controller)
+    matrix, weights = multiplied_out(policy)
     state, visited, means, variances = draws.start, [], [], []
     for t in range(plant.steps):
         function = draws.functions[t % len(draws.functions)]
@@ -74,19 +74,19 @@ def predict(controller: RBFController, plant: CartPole, draws: Draws, matching: 
     return Prediction(torch.stack(visited, 1), torch.stack(means, 1), torch.stack(variances, 1))
 
 
-def multiplied_out(controller: RBFController) -> tuple[Float[Tensor, "R Q N"], Float[Tensor, "R N 1"]]:
-    """Return a controller of one output as (matrix, weights): exp((x, x², 1) @ matrix) @ weights for D features x."""
-    precision = torch.exp(-2 * controller.log_length_scales)  # [R, 1, D]
-    pull = controller.centres * precision  # [R, N, D]
-    offset = -(controller.centres * pull).sum(-1, keepdim=True) / 2
+def multiplied_out(policy: RBFPolicy) -> tuple[Float[Tensor, "R Q N"], Float[Tensor, "R N 1"]]:
+    """Return a policy of one output as (matrix, weights): exp((x, x², 1) @ matrix) @ weights for D features x."""
+    precision = torch.exp(-2 * policy.log_length_scales)  # [R, 1, D]
+    pull = policy.centres * precision  # [R, N, D]
+    offset = -(policy.centres * pull).sum(-1, keepdim=True) / 2
     matrix = torch.cat((pull, (-precision / 2).expand_as(pull), offset), -1).mT
-    return matrix, controller.weights.mT
+    return matrix, policy.weights.mT
 
 
 def act(
     state: Float[Tensor, "R K 4"], matrix: Tensor, weights: Tensor, limit: float, angle_features: bool
 ) -> Float[Tensor, "R K D"]:
-    """Return the features of a state (without ``angle_features``: the state) and the controller's force on it [N]."""
+    """Return the features of a state (without ``angle_features``: the state) and the policy's force on it [N]."""
     theta = state[..., 3:]
     seen = torch.cat((state[..., :3], theta.sin(), theta.cos()), -1)
     squares = torch.cat((seen, seen * seen, torch.ones_like(theta)), -1)

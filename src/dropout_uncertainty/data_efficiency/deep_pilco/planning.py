@@ -27,7 +27,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco.particles import (
 )  # fmt: skip
 from dropout_uncertainty.data_efficiency.minimise import batched
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole
-from dropout_uncertainty.data_efficiency.policies import RBFController
+from dropout_uncertainty.data_efficiency.policies import RBFPolicy
 from dropout_uncertainty.settings import tidy
 
 OPTIMISERS = ("adam", "bfgs")
@@ -38,7 +38,7 @@ DIM = len(FEATURE_NAMES)
 
 @dataclass(frozen=True)
 class Planning:
-    """How the particles are made, moved and judged, and how the controller is improved on them."""
+    """How the particles are made, moved and judged, and how the policy is improved on them."""
 
     particles: int = 30
     """Particles K; the paper has 10."""
@@ -55,7 +55,7 @@ class Planning:
     """The predicted cost is the mean cost of the particles ("particles"), or the cost of their mean ("mean"), which is
     flat and makes a public re-implementation fail."""
     optimiser: str = "adam"
-    """Of the controller: "adam" (thesis section 5.4.2), or "bfgs" on particles and masks that stay as they are."""
+    """Of the policy: "adam" (thesis section 5.4.2), or "bfgs" on particles and masks that stay as they are."""
     policy_steps: int = 300
     """Optimisation steps per trial (line searches of BFGS); the paper has 1000."""
     policy_rate: float = 1e-2
@@ -84,7 +84,9 @@ class Planning:
 class Dynamics(Protocol):
     """What particles can be moved by: a model of which functions are drawn, one per particle."""
 
-    seeds: tuple[int, ...]  # one per replica
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """One per replica."""
 
     @property
     def log_noise(self) -> Tensor:
@@ -102,10 +104,10 @@ class Dynamics(Protocol):
 
 @runtime_checkable
 class Shape(Protocol):
-    """How the parameters of a controller stand in one vector."""
+    """How the parameters of a policy stand in one vector."""
 
-    def controller(self, parameters: Tensor) -> RBFController:
-        """Return the controllers of parameters [R, P]."""
+    def policy(self, parameters: Tensor) -> RBFPolicy:
+        """Return the policies of parameters [R, P]."""
 
 
 @dataclass(frozen=True)
@@ -120,13 +122,13 @@ class RBFShape:
         """The length of the vector."""
         return self.dim + self.basis * (self.dim + 1)
 
-    def controller(self, parameters: Float[Tensor, "R P"]) -> RBFController:
-        """Return the controllers of these parameters."""
+    def policy(self, parameters: Float[Tensor, "R P"]) -> RBFPolicy:
+        """Return the policies of these parameters."""
         scales, centres, weights = parameters.split((self.dim, self.basis * self.dim, self.basis), -1)
-        return RBFController(centres.reshape(-1, self.basis, self.dim), scales[:, None], weights[:, None])
+        return RBFPolicy(centres.reshape(-1, self.basis, self.dim), scales[:, None], weights[:, None])
 
     def initial(self, spread: Sequence[float], weight_std: float, generator: Generator) -> Float[Tensor, " P"]:
-        """Return a random controller over the features (x, v, w, sin θ, cos θ).
+        """Return a random policy over the features (x, v, w, sin θ, cos θ).
 
         Centres are normal around the cart at rest with the pole hanging (cos θ = -1), with standard deviations
         ``spread``, which are the first length-scales too; weights are normal with standard deviation ``weight_std``.
@@ -180,15 +182,15 @@ def standardised(noise: Float[Tensor, "*batch K D"]) -> Float[Tensor, "*batch K 
 def objective(
     plant: CartPole, shape: Shape, plan: Planning, parameters: Float[Tensor, "R P"], draws: Draws
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, "R P"]]:
-    """Return the predicted cost, averaged over times 1 ... T, and its gradient in the controller's parameters."""
+    """Return the predicted cost, averaged over times 1 ... T, and its gradient in the policy's parameters."""
     leaf = parameters.detach().requires_grad_()
     with torch.enable_grad():
         if trial_gradient.covers(draws, plan.matching, plan.cost_of):
-            matrix, weights = multiplied_out(shape.controller(leaf))
+            matrix, weights = multiplied_out(shape.policy(leaf))
             value, *gradients = trial_gradient.value_and_gradient(matrix.detach(), weights.detach(), plant, draws)
             (gradient,) = torch.autograd.grad((matrix, weights), leaf, gradients)
         else:
-            prediction = predict(shape.controller(leaf), plant, draws, plan.matching)
+            prediction = predict(shape.policy(leaf), plant, draws, plan.matching)
             value = prediction.costs(plant, plan.cost_of).mean(-1)
             (gradient,) = torch.autograd.grad(value.sum(), leaf)
     return value.detach(), gradient
@@ -196,7 +198,7 @@ def objective(
 
 @dataclass(frozen=True)
 class Improved:
-    """Controllers after optimisation, with the predicted cost they reached and how often a gradient was left out."""
+    """Policies after optimisation, with the predicted cost they reached and how often a gradient was left out."""
 
     parameters: Float[Tensor, "R P"]
     value: Float[Tensor, " R"]  # mean over the last tenth of the steps
@@ -211,7 +213,7 @@ def improve(
     parameters: Float[Tensor, "R P"],
     *path: str | int,
 ) -> Improved:
-    """Return controllers of lower predicted cost, starting from ``parameters``; the path names the random streams."""
+    """Return policies of lower predicted cost, starting from ``parameters``; the path names the random streams."""
     if plan.optimiser == "bfgs":
         return _improve_fixed(model, plant, shape, plan, parameters, *path)
     current = parameters.detach().to(model.log_noise).clone().requires_grad_()
@@ -267,9 +269,9 @@ def guarded(
     above: float,
     *path: str | int,
 ) -> tuple[Improved, Int[Tensor, " R"]]:
-    """Improve; where the predicted cost stays ``above`` or is NaN, try from each of the ``fresh`` controllers in turn.
+    """Improve; where the predicted cost stays ``above`` or is NaN, try from each of the ``fresh`` policies in turn.
 
-    The better controller is kept. No real trial is used. Returns the controllers and how many redraws each had.
+    The better policy is kept. No real trial is used. Returns the policies and how many redraws each had.
     """
     best = improve(model, plant, shape, plan, parameters, *path, 0)
     redraws = torch.zeros_like(best.repairs)

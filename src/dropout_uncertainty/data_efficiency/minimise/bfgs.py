@@ -1,6 +1,6 @@
 """BFGS with the careful steps of the original PILCO code: no line search begins further than one unit away.
 
-The predicted cost of a trial has many valleys; a controller that spins the pole for ever lies in one of them. Which
+The predicted cost of a trial has many valleys; a policy that spins the pole for ever lies in one of them. Which
 is reached depends on the steps of the optimiser, so these follow the rules of pilco-matlab, util/minimize.m, and give
 the same sequence of values.
 """

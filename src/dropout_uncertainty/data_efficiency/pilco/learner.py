@@ -1,9 +1,8 @@
 """PILCO learning the cart-pole swing-up: one unit is a batch of repetitions, one step of its process is a trial."""
 
-import contextlib
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,25 +10,17 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
-from dropout_uncertainty import rng
-from dropout_uncertainty.data_efficiency import policies
 from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import SquaredExponential
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, Learner
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.pilco import planning
-from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, CartPole
-from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
-from dropout_uncertainty.runs import records, sweep
+from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import Unit
 from dropout_uncertainty.settings import tidy
 
-__all__ = [
-    "CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start", "start_longer",
-    "units",
-]  # fmt: skip
+__all__ = ["CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start"]
 
 
 @dataclass(frozen=True)
@@ -41,9 +32,9 @@ class PilcoConfig:
     trials: int = 10
     """Controlled trials after the random one; 15 in the original."""
     basis: int = 10
-    """Basis functions of the controller."""
+    """Basis functions of the policy."""
     policy_iterations: int = 150
-    """Line searches per trial for the controller."""
+    """Line searches per trial for the policy."""
     model_iterations: int = 300
     """Line searches per trial for the hyper-parameters of each output's Gaussian process."""
     inducing: int = 300
@@ -51,11 +42,11 @@ class PilcoConfig:
     inducing_iterations: int = 100
     """Line searches per trial for the inducing inputs, thrice as many at first; the original has 500 evaluations."""
     target_std: float = 0.1
-    """Standard deviation of the first targets of the controller's basis functions."""
+    """Standard deviation of the first targets of the policy's basis functions."""
     log_length_scales: tuple[float, ...] = (0.0, 0.0, 0.0, -0.35667494393873245, -0.35667494393873245)
-    """Logs of the controller's first length-scales: 1, 1, 1, 0.7, 0.7."""
+    """Logs of the policy's first length-scales: 1, 1, 1, 0.7, 0.7."""
     doubt: bool = field(default=True, metadata={"before": True})
-    """The controller is improved on the model with its variance. Otherwise on its mean, taken for the truth; only the
+    """The policy is improved on the model with its variance. Otherwise on its mean, taken for the truth; only the
     start state is uncertain then."""
 
     def __post_init__(self) -> None:
@@ -78,14 +69,14 @@ LONGER: dict[str, PilcoConfig] = {f"pilco-paper-{trials}": replace(PILCO_PAPER, 
 CONFIGS: dict[str, PilcoConfig] = {"pilco-paper": PILCO_PAPER, "pilco-matlab": PILCO_MATLAB, **LONGER}
 
 
-class PilcoLearning:
+class PilcoLearning(Learner):
     """R repetitions of PILCO (thesis algorithm 3) in one batch; step 0 is the random trial."""
 
-    #: 2: the moments of the controller and the features are worked out in fewer operations.
+    #: 2: the moments of the policy and the features are worked out in fewer operations.
     ROUNDING = 2
     #: Kept in full precision: with these a longer config continues from the record as if it had never stopped.
     CONTINUED = ("observed", "forces", "hyper", "policy")
-    #: What computing time is spent on; "gradients" are for the record only.
+    #: "gradients" are for the record only.
     PARTS = ("model", "gradients", "policy", "trial")
     COUNTS = (
         "model_line_searches",  # summed over outputs
@@ -93,13 +84,16 @@ class PilcoLearning:
         "policy_evaluations",
         "model_repairs",  # values that were not finite, failed line searches, covariances that needed jitter
         "policy_repairs",  # values that were not finite, failed line searches
-        "policy_redrawn",  # the controller could not be evaluated and began anew from a random one
+        "policy_redrawn",  # the policy could not be evaluated and began anew from a random one
     )
+    STATE = (*Learner.STATE, "inputs", "targets", "hyper", "inducing")
+    config: PilcoConfig
 
-    def __init__(self, config: PilcoConfig, seeds: Sequence[int], device: str = "cpu") -> None:
-        self.config, self.seeds, self.device = config, rng.check_seeds(seeds), device
-        self.total, self.done = config.trials + 1, 0
-        self.shape = planning.PolicyShape(config.basis)
+    def __init__(
+        self, config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", kept: Sequence[str] | None = None
+    ) -> None:
+        super().__init__(config, seeds, planning.PolicyShape(config.basis), kept)
+        self.device = device
         self.policy = self._draw_policy(0)
         plant, runs = config.plant, len(self.seeds)
         self.inputs = torch.zeros(runs, 0, planning.DIM + 1, dtype=torch.float64)
@@ -108,14 +102,10 @@ class PilcoLearning:
         self.inducing: Tensor | None = None
         times, steps = plant.steps + 1, plant.steps
         sizes = {
-            "states": (times, 4),  # true
-            "observed": (times, 4),
-            "forces": (steps,),  # [N]
-            "costs": (steps,),  # realised, of the true states 1 ... T
             "predicted_mean": (times, 4),
             "predicted_variance": (times, 4),
             "predicted_cost": (steps,),
-            # where the search for the controller begins, norms of the gradient of each step's expected cost; with
+            # where the search for the policy begins, norms of the gradient of each step's expected cost; with
             # doubt about the model, and taking its mean for the truth; and what is predicted there
             "search_gradient": (steps,),
             "search_gradient_sure": (steps,),
@@ -123,35 +113,21 @@ class PilcoLearning:
             "hyper": (4, planning.DIM + 3),  # logs: length-scales, signal and noise standard deviation per output
             "policy": (self.shape.size,),
         }
-        self.log = {
-            k: torch.full((runs, self.total, *size), torch.nan, dtype=torch.float64) for k, size in sizes.items()
-        }
-        self.counts = {name: torch.zeros(runs, self.total, dtype=torch.int64) for name in self.COUNTS}
-        self.seconds = {name: [0.0] * self.total for name in self.PARTS}  # CPU, all repetitions
+        self.log |= self._blank(sizes, self.total)
 
-    def advance(self) -> str:
-        """Train, improve the controller and run one trial; the first trial has random forces."""
-        if self.done:
-            with self._timed("model"):
-                model = self._train()
-            with self._timed("gradients"):
-                self._record_gradients(model)
-            with self._timed("policy"):
-                planned = model if self.config.doubt else model.mean_function()
-                self._improve(planned)
-                self._predict(planned)
-        with self._timed("trial"):
-            self._run_trial()
-        costs = self.log["costs"][:, self.done]
-        self.done += 1
-        count = int(solved(self.config.plant, costs).sum())
-        return f"cost {costs.mean().item():.3f}, solved {count}/{len(self.seeds)}"
+    def _learn(self) -> None:
+        with self._timed("model"):
+            model = self._train()
+        with self._timed("gradients"):
+            self._record_gradients(model)
+        with self._timed("policy"):
+            planned = self._planned(model)
+            self._improve(planned)
+            self._predict(planned)
 
-    @contextlib.contextmanager
-    def _timed(self, part: str) -> Iterator[None]:
-        started = time.process_time()
-        yield
-        self.seconds[part][self.done] = time.process_time() - started
+    def _planned(self, model: SquaredExponential) -> SquaredExponential:
+        """Return the model that the policy is improved on."""
+        return model if self.config.doubt else model.mean_function()
 
     def _train(self) -> SquaredExponential:
         """Step 5: fit hyper-parameters, then inducing inputs if there are many data; return the posterior."""
@@ -176,14 +152,14 @@ class PilcoLearning:
         return posterior
 
     def _record_gradients(self, model: SquaredExponential) -> None:
-        """Note how much each step of the predicted trial has to say when the search for the controller begins."""
+        """Note how much each step of the predicted trial has to say when the search for the policy begins."""
         doubting, sure, states = planning.step_gradients(model, self.config.plant, self.shape, self.policy)
         self.log["search_gradient"][:, self.done] = doubting.norm(dim=-1)
         self.log["search_gradient_sure"][:, self.done] = sure.norm(dim=-1)
         self.log["search_variance"][:, self.done] = states.cov.diagonal(dim1=-2, dim2=-1)
 
     def _improve(self, model: SquaredExponential) -> None:
-        """Steps 6 to 8; a controller that cannot be evaluated is redrawn once, then kept as it was."""
+        """Steps 6 to 8; a policy that cannot be evaluated is redrawn once, then kept as it was."""
         config, trial = self.config, self.done
         found = planning.improve(model, config.plant, self.shape, self.policy, config.policy_iterations)
         best, lost = found.x, found.value.isnan()
@@ -202,53 +178,22 @@ class PilcoLearning:
     def _predict(self, model: SquaredExponential) -> None:
         plant = self.config.plant
         begin = planning.start_distribution(plant, len(self.seeds), self.device)
-        states = planning.predict(model, self.shape.controller(self.policy.to(self.device)), plant, begin)
+        states = planning.predict(model, self.shape.policy(self.policy.to(self.device)), plant, begin)
         self.log["predicted_mean"][:, self.done] = states.mean
         self.log["predicted_variance"][:, self.done] = states.cov.diagonal(dim1=-2, dim2=-1)
         self.log["predicted_cost"][:, self.done] = planning.expected_costs(plant, states)
 
     def _run_trial(self) -> None:
-        """Step 4: run the trial and append its transitions to the data."""
-        plant, trial = self.config.plant, self.done
-        begin = self._draw(lambda g: cartpole.start_states(plant, (), g), "start")
-        noise = self._draw(lambda g: cartpole.observation_noise(plant, (plant.steps + 1,), g), "noise")
-        if trial == 0:
-            random = self._draw(lambda g: torch.rand(plant.steps, generator=g, dtype=torch.float64), "forces")
-            forces = plant.force_limit * (2 * random - 1)
-            rollout = cartpole.rollout(plant, begin, lambda _, t: forces[:, t], noise)
-        else:
-            controller = self.shape.controller(self.policy)
-            act = lambda observed, _: policies.force(controller, plant, observed)  # noqa: E731
-            rollout = cartpole.rollout(plant, begin, act, noise)
-        self._append(rollout.observed, rollout.forces)
-        self.log["costs"][:, trial] = cost(plant, rollout.states[:, 1:])
-        for name in ("states", "observed", "forces"):
-            self.log[name][:, trial] = getattr(rollout, name)
+        super()._run_trial()
+        self._append(self.log["observed"][:, self.done], self.log["forces"][:, self.done])
 
     def _append(self, observed: Tensor, forces: Tensor) -> None:
         inputs, targets = planning.transitions(observed, forces)
         self.inputs, self.targets = torch.cat((self.inputs, inputs), 1), torch.cat((self.targets, targets), 2)
 
-    def _draw(self, draw: Any, name: str) -> Tensor:
-        return rng.stacked(draw, self.seeds, "environment", name, self.done)
-
-    def _draw_policy(self, trial: int) -> Tensor:
+    def _initial(self, generator: Generator) -> Tensor:
         config = self.config
-
-        def draw(generator: Generator) -> Tensor:
-            return self.shape.initial(config.plant, config.target_std, config.log_length_scales, generator)
-
-        return rng.stacked(draw, self.seeds, "policy", trial)
-
-    def state(self) -> dict[str, Any]:
-        """Return everything needed to continue."""
-        kept = ("done", "policy", "inputs", "targets", "hyper", "inducing", "log", "counts", "seconds")
-        return {name: getattr(self, name) for name in kept}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Continue from ``state()`` of a process made with the same arguments."""
-        for name, value in state.items():
-            setattr(self, name, value)
+        return self.shape.initial(config.plant, config.target_std, config.log_length_scales, generator)
 
     def result(self) -> dict[str, np.ndarray]:
         """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN."""
@@ -257,7 +202,8 @@ class PilcoLearning:
             for name, value in self.log.items()
         }
         inducing = {} if self.inducing is None else {"inducing": self.inducing.numpy()}
-        return log | inducing | {name: value.numpy().astype(np.int32) for name, value in self.counts.items()}
+        arrays = log | inducing | super().result()
+        return arrays if self.kept is None else {name: arrays[name] for name in (*self.kept, *self.COUNTS)}
 
     def take_over(self, arrays: Mapping[str, np.ndarray], seconds: Mapping[str, Sequence[float]]) -> None:
         """Stand where a shorter run of the same learner ended, given the arrays of its record and its timings."""
@@ -272,24 +218,23 @@ class PilcoLearning:
         for trial in range(done):
             self._append(self.log["observed"][:, trial], self.log["forces"][:, trial])
 
-    def timings(self) -> dict[str, list[float]]:
-        """Return CPU seconds per trial of all repetitions together, by part."""
-        return {f"{name}_cpu_s": values for name, values in self.seconds.items()}
 
-
-def start(config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float64") -> PilcoLearning:
-    """Return the process of one unit.
+def start(
+    config: PilcoConfig,
+    seeds: Sequence[int],
+    device: str = "cpu",
+    precision: str = "float64",
+    kept: Sequence[str] | None = None,
+    kind: type[PilcoLearning] = PilcoLearning,
+) -> PilcoLearning:
+    """Return the process of one unit, of that kind; `kept` names the arrays of a small record.
 
     Raises:
-        ValueError: for another precision than float64.
+        ValueError: without seeds, or for another precision than float64.
     """
-    return PilcoLearning(config, seeds, _device(device, precision))
-
-
-def _device(device: str, precision: str) -> str:
     if precision != "float64":
         raise ValueError(f"PILCO runs in float64, got {precision}; leave it out")
-    return device
+    return kind(config, seeds, device, kept)
 
 
 class ContinuedPilco(PilcoLearning):
@@ -314,13 +259,6 @@ class ContinuedPilco(PilcoLearning):
         return []
 
 
-def start_longer(
-    config: PilcoConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float64"
-) -> ContinuedPilco:
-    """Return the process of one unit that can go on from shorter ones; raises ValueError as `start` does."""
-    return ContinuedPilco(config, seeds, _device(device, precision))
-
-
 def _is_shorter(config: PilcoConfig, longer: PilcoConfig) -> bool:
     return config.trials < longer.trials and replace(config, trials=longer.trials) == longer
 
@@ -342,13 +280,6 @@ SWEEPS = [
     Sweep(EXPERIMENT, configs, begin, ("float64",), GROUP, repetitions=40, memory=memory)
     for configs, begin in (
         ({name: config for name, config in CONFIGS.items() if name not in LONGER}, start),
-        (LONGER, start_longer),
+        (LONGER, partial(start, kind=ContinuedPilco)),
     )
 ]
-
-
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units(SWEEPS, name, seeds, device, precision)

@@ -1,8 +1,8 @@
-"""PILCO (thesis algorithm 3): predict the trial with a Gaussian process and matched moments, improve the controller.
+"""PILCO (thesis algorithm 3): predict the trial with a Gaussian process and matched moments, improve the policy.
 
 Steps of the algorithm and where they are: 4 run a trial (``cartpole.rollout``), 5 train the dynamics model
 (``train_model``), 6 predict state distributions (``predict``), 7 expected cost and its gradient
-(``expected_costs``), 8 improve the controller (``improve``). ``learner`` joins them. float64, replicas R first.
+(``expected_costs``), 8 improve the policy (``improve``). ``learner`` joins them. float64, replicas R first.
 The model is evaluated on the device that holds its data; parameters stay on the CPU, where the optimisers are.
 """
 
@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.minimise.batched import Minimum, minimi
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole, features
 from dropout_uncertainty.data_efficiency.plant.cost import cost, cost_moments
-from dropout_uncertainty.data_efficiency.policies import Controller, RBFController, force, force_moments
+from dropout_uncertainty.data_efficiency.policies import Policy, RBFPolicy, force, force_moments
 
 DIM = len(FEATURE_NAMES)
 
@@ -33,13 +33,13 @@ def transitions(observed: Float[Tensor, "R times 4"], forces: Float[Tensor, "R s
     return inputs, (observed[:, 1:] - observed[:, :-1]).mT
 
 
-def propagate(model: SquaredExponential, controller: Controller, limit: float, state: Gaussian) -> Gaussian:
-    """Return the distribution of the next state (x, v, w, theta): features, controller, squash, dynamics, sum.
+def propagate(model: SquaredExponential, policy: Policy, limit: float, state: Gaussian) -> Gaussian:
+    """Return the distribution of the next state (x, v, w, theta): features, policy, squash, dynamics, sum.
 
     The model's noise is not added to the state, as in the original (pilco-matlab, base/propagated.m).
     """
     seen = feature_moments(state)
-    force = force_moments(controller, limit, seen.out)
+    force = force_moments(policy, limit, seen.out)
     joint = appended(seen.out, force, DIM)
     change = model.moments(joint.out)
     shared = state.cov @ seen.slope @ joint.slope @ change.slope
@@ -47,7 +47,7 @@ def propagate(model: SquaredExponential, controller: Controller, limit: float, s
 
 
 def predict(
-    model: SquaredExponential, controller: Controller, plant: CartPole, start: Gaussian, steps: int | None = None
+    model: SquaredExponential, policy: Policy, plant: CartPole, start: Gaussian, steps: int | None = None
 ) -> Gaussian:
     """Return the predicted state distributions of times 0 ... T: mean [R, T + 1, 4] and covariance [R, T + 1, 4, 4].
 
@@ -61,7 +61,7 @@ def predict(
         )
     states = [start]
     for _ in range(plant.steps if steps is None else steps):
-        states.append(propagate(model, controller, plant.force_limit, states[-1]))
+        states.append(propagate(model, policy, plant.force_limit, states[-1]))
     return Gaussian(torch.stack([s.mean for s in states], 1), torch.stack([s.cov for s in states], 1))
 
 
@@ -89,16 +89,16 @@ class PolicyShape:
         """The length of the vector."""
         return self.dim + self.basis * (self.dim + 1)
 
-    def controller(self, parameters: Float[Tensor, "R P"]) -> RBFController:
-        """Return the controllers of these parameters."""
+    def policy(self, parameters: Float[Tensor, "R P"]) -> RBFPolicy:
+        """Return the policies of these parameters."""
         scales, centres, targets = parameters.split((self.dim, self.basis * self.dim, self.basis), -1)
         centres = centres.reshape(-1, self.basis, self.dim)
-        return RBFController.from_targets(centres, scales[:, None], targets[:, None])
+        return RBFPolicy.from_targets(centres, scales[:, None], targets[:, None])
 
     def initial(
         self, plant: CartPole, target_std: float, log_length_scales: tuple[float, ...], generator: Generator
     ) -> Float[Tensor, " P"]:
-        """Return a random controller: centres from the start distribution of the features, small random targets."""
+        """Return a random policy: centres from the start distribution of the features, small random targets."""
         start = feature_moments(start_distribution(plant, 1))
         jitter = 1e-12 * torch.eye(self.dim, dtype=torch.float64)  # the cosine hardly varies at the start
         factor = torch.linalg.cholesky(start.cov[0] + jitter)
@@ -112,22 +112,22 @@ class PolicyShape:
 def objective(
     model: SquaredExponential, plant: CartPole, shape: PolicyShape, parameters: Float[Tensor, "R P"]
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, "R P"]]:
-    """Return the predicted sum of expected costs over times 1 ... T and its gradient in the controller's parameters."""
+    """Return the predicted sum of expected costs over times 1 ... T and its gradient in the policy's parameters."""
     leaf = parameters.detach().to(model.centres).requires_grad_()
     with torch.enable_grad():
-        states = predict(model, shape.controller(leaf), plant, start_distribution(plant, len(leaf), leaf.device))
+        states = predict(model, shape.policy(leaf), plant, start_distribution(plant, len(leaf), leaf.device))
         total = expected_costs(plant, states).sum(-1)
         (gradient,) = torch.autograd.grad(total.sum(), leaf)
     return total.detach(), gradient
 
 
 def predict_points(
-    model: SquaredExponential, controller: Controller, plant: CartPole, start: Float[Tensor, "R 4"]
+    model: SquaredExponential, policy: Policy, plant: CartPole, start: Float[Tensor, "R 4"]
 ) -> Float[Tensor, "R times 4"]:
     """Return the trajectory that a model without doubt predicts: the posterior mean is taken for the truth."""
     states = [start]
     for _ in range(plant.steps):
-        seen = torch.cat((features(states[-1]), force(controller, plant, states[-1])[..., None]), -1)
+        seen = torch.cat((features(states[-1]), force(policy, plant, states[-1])[..., None]), -1)
         states.append(states[-1] + model(seen))
     return torch.stack(states, 1)
 
@@ -143,8 +143,8 @@ def step_gradients(
     leaf = parameters.detach().to(model.centres).requires_grad_()
     start = start_distribution(plant, len(leaf), leaf.device)
     with torch.enable_grad():
-        states = predict(model, shape.controller(leaf), plant, start)
-        sure = predict_points(model, shape.controller(leaf), plant, start.mean)
+        states = predict(model, shape.policy(leaf), plant, start)
+        sure = predict_points(model, shape.policy(leaf), plant, start.mean)
         both = [expected_costs(plant, states), cost(plant, sure[:, 1:])]
         grads = [
             torch.stack([torch.autograd.grad(c, leaf, retain_graph=True)[0] for c in costs.sum(0)], 1) for costs in both
@@ -155,7 +155,7 @@ def step_gradients(
 def improve(
     model: SquaredExponential, plant: CartPole, shape: PolicyShape, parameters: Float[Tensor, "R P"], iterations: int
 ) -> Minimum:
-    """Return controllers of lower predicted cost: at most ``iterations`` line searches each from ``parameters``."""
+    """Return policies of lower predicted cost: at most ``iterations`` line searches each from ``parameters``."""
     parts: dict[tuple[int, ...], SquaredExponential] = {}
 
     def evaluate(x: Tensor, numbers: list[int]) -> tuple[Tensor, Tensor]:

@@ -34,14 +34,12 @@ class CartPole:
     steps: int  # control steps T of one trial
     start_std: float  # standard deviation of each of the four start states [m, m/s, rad/s, rad]
     solved_steps: int  # a trial is judged on its last steps: the number of them
-    observation_noise: float = (
-        0.01  # standard deviation added to each observed state; seen by controller and model alike
-    )
+    observation_noise: float = 0.01  # standard deviation added to each observed state; seen by policy and model alike
     cart_mass: float = 0.5  # M [kg]
     pole_mass: float = 0.5  # m [kg]
     friction: float = 0.1  # b, between cart and ground [N s/m]
     gravity: float = 9.82  # g [m/s^2]
-    force_limit: float = 10.0  # the controller's force lies in [-limit, limit] [N]
+    force_limit: float = 10.0  # the policy's force lies in [-limit, limit] [N]
     dt: float = 0.1  # control interval [s]
     cost_width: float = 0.25  # width of the saturating cost [m]
     start_mean: tuple[float, float, float, float] = (0.0, 0.0, 0.0, torch.pi)  # at rest, hanging
@@ -156,7 +154,7 @@ def tip(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*ba
 
 
 def features(state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 5"]:
-    """Return (x, v, w, sin theta, cos theta): what controllers and models are given for the angle.
+    """Return (x, v, w, sin theta, cos theta): what policies and models are given for the angle.
 
     Raises:
         ValueError: if the last axis of the state is not (x, v, w, theta).
@@ -201,7 +199,7 @@ def rollout(
         plant: the physical constants.
         start: the true states at time 0.
         act: gives the force [N] from the observed state [..., 4] and the step; clipped to the plant's limit.
-        noise: [..., T + 1, 4] observation noise, drawn ahead of time. Controller and model see the same noisy
+        noise: [..., T + 1, 4] observation noise, drawn ahead of time. Policy and model see the same noisy
             state.
 
     Raises:
@@ -214,7 +212,7 @@ def rollout(
     for t in range(plant.steps):
         force = act(visited[-1] + noise[..., t, :], t).clamp(-plant.force_limit, plant.force_limit)
         if not force.isfinite().all():
-            raise ValueError(f"expected finite forces, got NaN or infinity at step {t}; look at the controller")
+            raise ValueError(f"expected finite forces, got NaN or infinity at step {t}; look at the policy")
         forces.append(force)
         visited.append(step(plant, visited[-1], force))
     states = torch.stack(visited, -2)
