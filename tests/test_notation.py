@@ -7,7 +7,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "book" / "notation.md").read_text(encoding="utf-8")
 CODE = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "src").rglob("*.py"))
 #: Letters that one module uses for itself.
-LOCAL = set("GIJOQVW")
+LOCAL = set("GIJLOQVW")
 
 
 def test_every_name_beside_a_symbol_is_in_the_code():

@@ -187,9 +187,9 @@ class _Vanishing(ProcessPoolExecutor):
 NOTEBOOK = """
 import toy
 from pathlib import Path
-from dropout_uncertainty.runs import execute
+from dropout_uncertainty.runs import execute, executors
 toy.CONFIGS["slow"] = toy.Walk(steps=300, seconds=0.2)
-with processes(2) as executor:
+with executors.processes(2) as executor:
     execute.run(toy.one_by_one("slow", range(100, 106)), executor=executor, folder=Path("../kernel"))
 """
 

@@ -44,10 +44,11 @@ record_commands = typer.Typer(help="List and verify the stored records.", no_arg
 app.add_typer(record_commands, name="records")
 
 
-def _print_version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> bool:
     if wanted:
         typer.echo(dropout_uncertainty.__version__)
         raise typer.Exit
+    return wanted
 
 
 @app.callback()

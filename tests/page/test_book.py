@@ -12,6 +12,7 @@ from bs4 import BeautifulSoup
 from filelock import FileLock
 from pybtex.database import parse_file
 
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.page import book, plotting, sphinx_ext
 
 ROOT = Path(__file__).parents[2]
@@ -53,9 +54,9 @@ def small_book(tmp_path, monkeypatch):
 
 def test_unknown_profile_and_notebook_are_refused_before_anything_runs(small_book):
     small_book(one=notebook("1/0"))
-    with pytest.raises(ValueError, match="unknown profile 'fast', choose one of recorded, quick, full"):
+    with pytest.raises(UserError, match="unknown profile 'fast', choose one of recorded, quick, full"):
         book.run_notebooks("fast")
-    with pytest.raises(ValueError, match="there is no notebook 'two', choose from one"):
+    with pytest.raises(UserError, match="there is no notebook 'two', choose from one"):
         book.run_notebooks("quick", ["two"])
 
 

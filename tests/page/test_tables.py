@@ -71,7 +71,7 @@ def test_provenance_sums_up_its_records(two_records):
     assert "aaaaaaaa, bbbbbbbb with changes" in line
     assert "dropout-uncertainty run toy --config ours --seeds 100-102,105" in text
     assert '"rounds": 3' in text
-    assert "`toy/ours/100.npz`" in text
+    assert "`toy/ours/100-102.npz`" in text
 
 
 def test_provenance_folds_on_the_screen_too(two_records):

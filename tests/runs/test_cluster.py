@@ -13,7 +13,7 @@ from test_cli import command
 from typer.testing import CliRunner
 
 from dropout_uncertainty import cli
-from dropout_uncertainty.runs import execute, records
+from dropout_uncertainty.runs import execute, executors, records
 from dropout_uncertainty.runs.executors import cluster
 from dropout_uncertainty.runs.unit import RunError
 
@@ -86,7 +86,7 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(nowhere):
 
 @pytest.mark.parametrize("address", ["tcp://", "host", "ftp://host:1"])
 def test_an_address_that_is_none(address, monkeypatch):
-    monkeypatch.setattr(execute, "CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr(executors, "CONNECT_SECONDS", 0.5)
     with pytest.raises(RunError, match=f"no Dask scheduler answers at {address}"), cluster(address):
         pass
 

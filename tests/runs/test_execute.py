@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import toy
 
-from dropout_uncertainty.runs import execute, records
+from dropout_uncertainty.runs import execute, records, unit
 from dropout_uncertainty.runs.records import RecordError
 from dropout_uncertainty.runs.unit import RunError, check_device, precision_dtype
 
@@ -144,7 +144,7 @@ execute.run_unit(theirs, Path(sys.argv[1]))
 
 
 def test_a_unit_that_does_not_fit_into_memory_is_refused_before_it_starts(tmp_path, monkeypatch):
-    monkeypatch.setattr(execute, "free_memory", lambda device: 2e9)
+    monkeypatch.setattr(unit, "free_memory", lambda device: 2e9)
     message = r"toy/walk/100-101 takes about 3\.0 GB of memory for 2 seeds, and 2\.0 GB are free: ask for fewer seeds"
     with pytest.raises(RunError, match=message):
         execute.run_unit(replace(toy.unit(), memory=3e9), tmp_path)
