@@ -34,12 +34,10 @@ class Interval(NamedTuple):
 class Estimate(NamedTuple):
     """A difference from what is claimed, as rules judge it; NaN where ``n`` repetitions are too few to tell.
 
-    Attributes:
-        value: the estimate.
-        low, high: its 95 % interval, against which a difference is judged.
-        low90, high90: its 90 % interval, against which equivalence is judged (two one-sided tests at 5 %).
-        p: two-sided p-value of "the difference is 0".
-        n: repetitions; of two samples, those of the smaller.
+    ``value`` is the estimate; ``low`` and ``high`` are its 95 % interval, against which a difference is judged, and
+    ``low90`` and ``high90`` its 90 % interval, against which equivalence is judged (two one-sided tests at 5 %); ``p``
+    is the two-sided p-value of "the difference is 0", and ``n`` counts the repetitions, of two samples those of the
+    smaller.
     """
 
     value: float

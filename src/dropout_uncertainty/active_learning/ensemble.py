@@ -10,7 +10,7 @@ from torch import Tensor
 
 from dropout_uncertainty.active_learning.loop import Learner
 
-__all__ = ["Ensemble"]
+__all__ = ["Ensemble", "Member"]
 
 
 class Member(Learner, Protocol):

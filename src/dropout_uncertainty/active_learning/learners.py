@@ -21,7 +21,7 @@ from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning.inputs import whole
 from dropout_uncertainty.active_learning.loop import Learner
 
-__all__ = ["DropoutLearner", "EnsembleLearner", "SklearnLearner"]
+__all__ = ["DropoutLearner", "EnsembleLearner", "Holder", "SklearnLearner"]
 
 #: Images that go through a network at a time when nothing is learned; bounds the memory.
 EVALUATION_BATCH = 1_000
