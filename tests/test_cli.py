@@ -57,7 +57,9 @@ def test_results_are_json_with_the_agreed_fields():
     assert all(set(result) >= fields | more for result in found if result["id"].startswith("statement/"))
     identifiers = [result["id"] for result in found]
     assert len(set(identifiers)) == len(identifiers)
-    assert {"table-5.1/random", "table-5.2/dropout/bald", "table-5.1/random/minimum", "statement/AL1a"} <= set(identifiers)
+    assert {"table-5.1/random", "table-5.2/dropout/bald", "table-5.1/random/minimum", "statement/AL1a"} <= set(
+        identifiers
+    )
 
 
 def test_a_broken_record_is_named(tmp_path):

@@ -118,9 +118,9 @@ def installed(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["results"], "there is no folder {work}/records of records (a clone of the repository has them;"),
+        (["results"], "there is no table {work}/records/thesis.csv: a clone of the repository has it;"),
         (["book"], "the book is made in a clone of the repository"),
-        (["front"], "belong to a clone of the repository"),
+        (["front"], "a clone of the repository has it"),
     ],
 )
 def test_a_package_without_a_clone_says_what_it_needs(installed, tmp_path, arguments, message):

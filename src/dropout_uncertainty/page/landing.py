@@ -70,11 +70,12 @@ def _row(statement: Statement, result: Result | None, link: str) -> list[str]:
 
 
 def _ours(result: Result) -> str:
-    """Return our value with its interval and unit; an end that was never reached is open."""
+    """Return our value with its interval and unit; an end that was never reached is open, a single run has none."""
     if result.ours is None:
         return "–"
     low, high = ("…" if end is None else f"{end:.2g}" for end in (result.low, result.high))
-    return f"{result.ours:.2g} [{low}, {high}] {result.unit}".replace("-", "−")
+    limits = "" if low == high == "…" else f" [{low}, {high}]"
+    return f"{result.ours:.2g}{limits} {result.unit}".replace("-", "−")
 
 
 def tally(found: Iterable[Result] | None = None) -> str:
@@ -385,10 +386,10 @@ def write(folder: Path | None = None) -> list[str]:
 
 
 def _repetitions(text: str) -> dict[str, int]:
-    """Return how many repetitions each of the README's numbers rests on, by what it is."""
+    """Return how many repetitions each of the README's statements rests on, by its sentence."""
     block = text.partition(BEGIN)[2].partition(END)[0]
     rows = [line.strip("| ").split(" | ") for line in block.splitlines()]
-    return {row[1]: int(row[4]) for row in rows if len(row) == 6 and row[4].isdigit()}
+    return {row[1]: int(row[4]) for row in rows if len(row) == 5 and row[4].isdigit()}
 
 
 def _svg(title: str, records: Sequence[Record], body: str, style: str = "") -> str:

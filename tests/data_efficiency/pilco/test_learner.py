@@ -122,6 +122,7 @@ def test_a_longer_run_goes_on_from_the_records_of_the_folder_that_it_is_given(fi
     (half,) = alone.inherit(tmp_path / "given")
     assert alone.seconds["policy"][1] == pytest.approx(seconds[1] / 2)
     assert half["cpu_s"] == pytest.approx(shorter.header["provenance"]["cpu_s"] / 2)
+    (tmp_path / "empty").mkdir()
     for config, seeds, device, folder in (
         (SHORT, (101, 102), "cpu", "given"),  # nothing is known of 102
         (replace(SHORT, basis=4), (100, 101), "cpu", "given"),

@@ -100,8 +100,8 @@ def initial_hyper(inputs: Float[Tensor, "R N D"], targets: Float[Tensor, "R E N"
         shapes = tuple(inputs.shape), tuple(targets.shape)
         raise ValueError(f"expected inputs [R, N, D] and targets [R, E, N], got shapes {shapes}")
     for name, columns in (("input", inputs.mT), ("target", targets)):
-        bad = (~columns.isfinite()).any(-1).any(0).nonzero().flatten().tolist()
-        if bad:
+        if not columns.isfinite().all():
+            bad = (~columns.isfinite()).any(-1).any(0).nonzero().flatten().tolist()
             raise ValueError(f"expected finite transitions, got NaN or infinity in the {name} columns {bad}")
     scales = _spread(inputs, 1)[0].log()[:, None].expand(-1, targets.shape[1], -1)
     signal = _spread(targets, -1)[0].log()
