@@ -12,10 +12,9 @@ def test_t_interval_is_scipys():
     assert np.isnan(stats.t_interval([3.0]).low)
 
 
-def test_first_crossing():
-    assert stats.first_crossing(np.array([9, 5, 7, 4]), 5.0) == 1
-    assert stats.first_crossing(np.array([9, 8]), 5.0) == np.inf
-    assert stats.first_crossing(np.array([0, 2, 1]), 2.0, above=True) == 1
+def test_first_crossings():
+    assert stats.first_crossings(np.array([[9, 5, 7, 4], [9, 8, 8, 8]]), 5.0).tolist() == [1, np.inf]
+    assert stats.first_crossings(np.array([0, 2, 1]), 2.0, above=True) == 1
 
 
 def test_median_filter_removes_a_single_dip():
@@ -36,7 +35,7 @@ def test_bootstrap_interval_covers_the_mean_as_often_as_it_says():
     hits = 0
     for _ in range(100):
         sample = generator.normal(size=30)
-        interval = stats.bootstrap_interval(lambda i, s=sample: s[i].mean(), 30)
+        interval = stats.bootstrap_interval(lambda i, s=sample: s[i].mean(-1), 30)
         hits += interval.low <= 0 <= interval.high
     assert 85 <= hits <= 99
 
@@ -45,19 +44,25 @@ def test_bootstrap_interval_covers_the_mean_as_often_as_it_says():
 def test_all_resamples_at_once_give_the_numbers_of_one_by_one(width):
     curves = np.random.default_rng(100).normal(5.2, 0.3, (6, 40))
 
-    def crossing(i):
-        return stats.first_crossing(stats.median_filter(curves[i].mean(0), width), 5.0)
+    def one_by_one(statistic):
+        return lambda *sets: np.array(
+            [statistic(*s) for s in zip(*sets, strict=True)] if sets[0].ndim > 1 else statistic(*sets)
+        )
 
-    assert stats.bootstrap_interval(crossing, 6) == stats.crossing_interval(curves, 5.0, width=width)
+    def crossing(i):
+        return stats.first_crossings(stats.median_filter(curves[i].mean(0), width), 5.0)
+
+    assert stats.bootstrap_interval(one_by_one(crossing), 6) == stats.crossing_interval(curves, 5.0, width=width)
     first = np.array([3.0, np.inf, 1, 2, 2])
-    assert stats.median_interval(first) == stats.bootstrap_interval(lambda i: np.sort(first[i])[2], 5)
+    middle = one_by_one(lambda i: np.sort(first[i])[2])
+    assert stats.median_interval(first) == stats.bootstrap_interval(middle, 5)
     pair, plain = ((lambda i, j, axis=axis: curves[i, 0].mean(axis) - curves[j, 1].mean(axis)) for axis in (-1, None))
-    assert stats.bootstrap_estimate(pair, 6, 5, vectorized=True) == stats.bootstrap_estimate(plain, 6, 5)
+    assert stats.bootstrap_estimate(pair, 6, 5) == stats.bootstrap_estimate(one_by_one(plain), 6, 5)
 
 
 def test_a_statistic_that_mixes_resamples_is_refused():
     with pytest.raises(ValueError, match="one number per resample, 2000 in all, got shape \\(\\)"):
-        stats.bootstrap_interval(lambda i: i.mean(), 4, vectorized=True)
+        stats.bootstrap_interval(lambda i: i.mean(), 4)
 
 
 def test_paired_samples_must_pair_up():
@@ -100,7 +105,7 @@ def test_intervals_cover_what_they_promise(n):
     means = generator.normal(size=(tries, n))
     student = np.mean([e.low <= 0 <= e.high for e in map(stats.mean_estimate, means)])
     boot = np.mean(
-        [e.low <= 0 <= e.high for e in (stats.bootstrap_estimate(lambda i, s=s: s[i].mean(), n) for s in means)]
+        [e.low <= 0 <= e.high for e in (stats.bootstrap_estimate(lambda i, s=s: s[i].mean(-1), n) for s in means)]
     )
     assert student >= 0.92
     assert boot >= 0.92

@@ -13,13 +13,15 @@ from scipy import ndimage
 from scipy import stats as scipy_stats
 
 __all__ = [
-    "CONFIDENCE", "Estimate", "Interval", "bootstrap_estimate", "bootstrap_interval", "crossing_interval",
-    "difference_of_means", "difference_of_shares", "first_crossing", "mean_estimate", "median_filter",
-    "median_interval", "paired_difference", "ratio_interval", "share_estimate", "t_interval",
+    "CONFIDENCE", "Estimate", "Interval", "Statistic", "bootstrap_estimate", "bootstrap_interval", "crossing_interval",
+    "difference_of_means", "difference_of_shares", "first_crossings", "mean_estimate", "median_filter",
+    "median_interval", "paired_difference", "ratio_interval", "share_estimate", "smaller_median", "t_interval",
 ]  # fmt: skip
 
 CONFIDENCE = 0.95
 RESAMPLES = 2_000
+#: Takes indices of repetitions [..., n], one array a sample, and gives [...].
+Statistic = Callable[..., Any]
 
 
 class Interval(NamedTuple):
@@ -119,20 +121,19 @@ def difference_of_shares(first: Sequence[bool] | np.ndarray, second: Sequence[bo
     return Estimate(a - b, low, high, low90, high90, float(scipy_stats.fisher_exact(table).pvalue), n)
 
 
-def bootstrap_estimate(statistic: Callable[..., Any], *sizes: int, vectorized: bool = False) -> Estimate:
+def bootstrap_estimate(statistic: Statistic, *sizes: int) -> Estimate:
     """Return ``statistic(indices, ...)`` of samples of the given sizes, with expanded percentile intervals.
 
-    The statistic gets one array of indices per sample and may be anything that whole runs give: a minimum of the
-    mean curve, a crossing, a ratio less 1. Samples are resampled independently; a paired statistic has one. Plain
-    percentiles are too narrow for few repetitions: the levels are widened as Student's t widens those of a normal
-    mean, for the smallest sample (Hesterberg, 2015). The p-value is the level at which the interval first touches
-    0. ``vectorized`` is as in ``bootstrap_interval``.
+    The statistic is as in ``bootstrap_interval``, with indices for each sample. Samples are resampled independently; a
+    paired statistic has one. Plain percentiles are too narrow for few repetitions: the levels are widened as Student's
+    t widens those of a normal mean, for the smallest sample (Hesterberg, 2015). The p-value is the level at which the
+    interval first touches 0.
     """
     n = min(sizes)
     value = float(statistic(*map(np.arange, sizes)))
     if n < 2 or not np.isfinite(value):
         return _unknown(value, n)
-    draws = _draws(statistic, sizes, vectorized)
+    draws = _draws(statistic, sizes)
     low, high, low90, high90 = (
         float(np.quantile(draws, _expanded(level, n), method="inverted_cdf")) for level in (0.025, 0.975, 0.05, 0.95)
     )
@@ -156,10 +157,9 @@ def _resamples(*sizes: int) -> tuple[np.ndarray, ...]:
     return resamples
 
 
-def _draws(statistic: Callable[..., Any], sizes: Sequence[int], vectorized: bool) -> np.ndarray:
+def _draws(statistic: Statistic, sizes: Sequence[int]) -> np.ndarray:
     """Return the statistic [RESAMPLES] of every resample."""
-    resamples = _resamples(*sizes)
-    draws = np.asarray(statistic(*resamples) if vectorized else list(map(statistic, *resamples)), float)
+    draws = np.asarray(statistic(*_resamples(*sizes)), float)
     if draws.shape != (RESAMPLES,):
         raise ValueError(f"a statistic gives one number per resample, {RESAMPLES} in all, got shape {draws.shape}")
     return draws
@@ -188,12 +188,12 @@ def paired_difference(first: Sequence[float] | np.ndarray, second: Sequence[floa
     return t_interval(first - second)
 
 
-def bootstrap_interval(statistic: Callable[[np.ndarray], Any], n: int, *, vectorized: bool = False) -> Interval:
+def bootstrap_interval(statistic: Statistic, n: int) -> Interval:
     """Return ``statistic(indices)`` at all n repetitions, with its percentile bootstrap interval.
 
     The statistic receives indices of repetitions, so it can be anything computed from whole runs: the crossing of a
-    mean curve, a ratio. It may be infinite ("not reached"). With ``vectorized`` it takes many sets of indices at once,
-    [..., n], and gives [...].
+    mean curve, a ratio. It may be infinite ("not reached"). It takes many sets of indices at once, [..., n], and gives
+    [...].
 
     Raises:
         ValueError: if it does not.
@@ -201,7 +201,7 @@ def bootstrap_interval(statistic: Callable[[np.ndarray], Any], n: int, *, vector
     value = float(statistic(np.arange(n)))
     if n < 2:
         return Interval(value, np.nan, np.nan, n)
-    draws = _draws(statistic, (n,), vectorized)
+    draws = _draws(statistic, (n,))
     # "Not reached" is infinite: quantiles without interpolation never average it with a number.
     low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], method="inverted_cdf")
     return Interval(value, float(low), float(high), n)
@@ -209,18 +209,14 @@ def bootstrap_interval(statistic: Callable[[np.ndarray], Any], n: int, *, vector
 
 def ratio_interval(numerator: np.ndarray, denominator: np.ndarray) -> Interval:
     """Return mean(numerator) / mean(denominator) with a bootstrap interval, paired over repetitions."""
-    return bootstrap_interval(
-        lambda i: numerator[i].mean(-1) / denominator[i].mean(-1), len(numerator), vectorized=True
-    )
+    return bootstrap_interval(lambda i: numerator[i].mean(-1) / denominator[i].mean(-1), len(numerator))
 
 
-def first_crossing(curve: np.ndarray, threshold: float, *, above: bool = False) -> float:
-    """Return the index of the first point at or below ``threshold`` (``above``: at or above); inf if there is none."""
-    return float(_first_crossings(np.asarray(curve), threshold, above))
+def first_crossings(curves: np.ndarray, threshold: float, *, above: bool = False) -> np.ndarray:
+    """Return the index [...] of the first point of curves [..., T] at or below ``threshold``; inf if there is none.
 
-
-def _first_crossings(curves: np.ndarray, threshold: float, above: bool) -> np.ndarray:
-    """Return the first crossings [...] of curves [..., T]."""
+    With ``above``: at or above.
+    """
     reached = curves >= threshold if above else curves <= threshold
     return np.where(reached.any(-1), reached.argmax(-1), np.inf)
 
@@ -235,13 +231,16 @@ def crossing_interval(curves: np.ndarray, threshold: float, *, width: int = 1, a
     """Return the first crossing of the mean of ``curves`` [R, T], smoothed by a median of ``width`` points."""
 
     def crossing(indices: np.ndarray) -> np.ndarray:
-        return _first_crossings(median_filter(curves[indices].mean(-2), width), threshold, above)
+        return first_crossings(median_filter(curves[indices].mean(-2), width), threshold, above=above)
 
-    return bootstrap_interval(crossing, len(curves), vectorized=True)
+    return bootstrap_interval(crossing, len(curves))
 
 
 def median_interval(values: np.ndarray) -> Interval:
     """Return the smaller median (at least half are no larger) with a bootstrap interval; values may be infinite."""
-    return bootstrap_interval(
-        lambda i: np.quantile(values[i], 0.5, axis=-1, method="inverted_cdf"), len(values), vectorized=True
-    )
+    return bootstrap_interval(lambda i: smaller_median(values[i]), len(values))
+
+
+def smaller_median(values: np.ndarray) -> np.ndarray:
+    """Return the smaller median [...] of values [..., n]: one of them, also where some are infinite."""
+    return np.asarray(np.quantile(values, 0.5, axis=-1, method="inverted_cdf"))

@@ -84,9 +84,8 @@ def test_four_repetitions_and_none_are_untested_and_say_so(tmp_path):
 def test_a_minimum_is_that_of_three_curves():
     curves = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
     # triples: {0,1,2} and {0,1,3} have their minimum at 2/3, {0,2,3} and {1,2,3} at 2/3
-    assert lowest(curves) == pytest.approx(2 / 3)
-    assert lowest(curves[:3]) == pytest.approx(2 / 3)
-    assert lowest(np.tile(curves[2:], (3, 1))) == 1.0
+    assert lowest(curves)(np.arange(4)) == pytest.approx(2 / 3)
+    assert lowest(curves)(np.array([[0, 1, 2], [2, 3, 2], [0, 0, 0]])) == pytest.approx([2 / 3, 1, 0])
 
 
 def test_development_seeds_do_not_count(tmp_path):

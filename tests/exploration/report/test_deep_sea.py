@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from scipy import stats as scipy_stats
+from scipy.optimize import minimize
 
 from dropout_uncertainty.exploration.report.deep_sea.analysis import (
     Dives,
@@ -67,9 +69,24 @@ def test_growth_is_found_again_and_needs_no_solution_everywhere():
     assert np.isnan(growth(known, "boltzmann", "power").value)
 
 
-def test_a_censored_slope_without_censoring_is_least_squares():
+@pytest.mark.parametrize("until", [np.inf, 1.0])
+def test_a_censored_slope_is_the_most_likely(until):
+    """By a general minimiser; without censoring it is that of least squares."""
     numbers = np.random.default_rng(100)
     x = numbers.standard_normal(50)
     y = 2 * x + numbers.standard_normal(50)
-    assert censored_slope(x, y, np.ones(50, dtype=bool)) == pytest.approx(np.polyfit(x, y, 1)[0], abs=1e-3)
-    assert np.isnan(censored_slope(x, y, np.zeros(50, dtype=bool)))
+    exact, y = y < until, np.minimum(y, until)
+    sets = numbers.integers(50, size=(3, 50))
+
+    def most_likely(i):
+        def loss(theta):
+            z = (y[i] - theta[0] - theta[1] * x[i]) / np.exp(theta[2])
+            norm = scipy_stats.norm
+            return -(norm.logpdf(z[exact[i]]) - theta[2]).sum() - norm.logsf(z[~exact[i]]).sum()
+
+        return minimize(loss, [0.0, 0.0, 0.0]).x[1]
+
+    assert censored_slope(x, y, exact)(sets) == pytest.approx([most_likely(i) for i in sets], abs=1e-4)
+    if until == np.inf:
+        assert censored_slope(x, y, exact)(np.arange(50)) == pytest.approx(np.polyfit(x, y, 1)[0])
+    assert np.isnan(censored_slope(x, y, np.zeros(50, dtype=bool))(sets)).all()

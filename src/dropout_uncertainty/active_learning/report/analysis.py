@@ -17,7 +17,7 @@ from dropout_uncertainty.stats import (
     Interval,
     bootstrap_interval,
     crossing_interval,
-    first_crossing,
+    first_crossings,
     paired_difference,
     t_interval,
 )
@@ -85,7 +85,7 @@ class Row:
     @property
     def minimum(self) -> Interval:
         """Minimum of the mean curve in %, the statistic that Table 5.1 prints."""
-        return bootstrap_interval(lambda i: self.error[i].mean(-2).min(-1), len(self.error), vectorized=True)
+        return bootstrap_interval(lambda i: self.error[i].mean(-2).min(-1), len(self.error))
 
     def crossing(self, threshold: float = THRESHOLD, *, width: int = 1) -> Interval:
         """Acquisitions until the mean curve, after a median of ``width`` points, is at ``threshold`` % or below."""
@@ -93,7 +93,7 @@ class Row:
 
     def crossings(self, threshold: float = THRESHOLD) -> list[float]:
         """Acquisitions until each repetition is at ``threshold`` % or below; inf if it never is."""
-        return [first_crossing(curve, threshold) for curve in self.error]
+        return first_crossings(self.error, threshold).tolist()
 
     def stack(self, name: str) -> np.ndarray:
         """Return the array ``name`` of all records, replicas first."""

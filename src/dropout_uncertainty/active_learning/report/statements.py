@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +23,7 @@ from dropout_uncertainty.active_learning.report.analysis import (
 )
 from dropout_uncertainty.judging.results import printed
 from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, shifted
-from dropout_uncertainty.stats import Interval, bootstrap_estimate, first_crossing, mean_estimate
+from dropout_uncertainty.stats import Interval, Statistic, bootstrap_estimate, first_crossings, mean_estimate
 
 __all__ = ["STATEMENTS"]
 
@@ -42,15 +43,21 @@ Ours = Callable[[Row], float]
 # ------------------------------------------------------------------ printed values
 
 
-def lowest(curves: Float[np.ndarray, "R T"]) -> float:
+def lowest(curves: Float[np.ndarray, "R T"]) -> Statistic:
     """Return the minimum of the mean curve of three repetitions, mean over all triples: noise lowers a minimum."""
-    triples = np.array(list(combinations(range(len(curves)), 3)))
-    return float(curves[triples].mean(1).min(1).mean())
+    triples = np.stack(np.meshgrid(*[np.arange(len(curves))] * 3, indexing="ij"), -1)
+    minima = curves[triples].mean(-2).min(-1)  # [R, R, R]: a resample may hold a repetition more than once
+
+    def statistic(indices: np.ndarray) -> Any:
+        first, second, third = np.array(list(combinations(range(indices.shape[-1]), 3))).T
+        return minima[indices[..., first], indices[..., second], indices[..., third]].mean(-1)
+
+    return statistic
 
 
-def crossing(curves: Float[np.ndarray, "R T"]) -> float:
+def crossing(curves: Float[np.ndarray, "R T"]) -> Statistic:
     """Return the acquisitions until the mean curve is at 5 %; one more than there are if it never is."""
-    return min(first_crossing(curves.mean(0), THRESHOLD), float(curves.shape[1]))
+    return lambda indices: np.minimum(first_crossings(curves[indices].mean(-2), THRESHOLD), curves.shape[1])
 
 
 def cell(name: str, table: str, folder: Path | None) -> Measured | None:
@@ -59,15 +66,14 @@ def cell(name: str, table: str, folder: Path | None) -> Measured | None:
     if row is None or len(row.error) < 3:
         return None
     statistic = lowest if table == "table-5.1" else crossing
-    theirs = original_rows()[name].error
-    difference = bootstrap_estimate(
-        lambda i, j: statistic(row.error[i]) - statistic(theirs[j]), len(row.error), len(theirs)
-    )._replace(n=len(row.error))
-    ours = bootstrap_estimate(lambda i: statistic(row.error[i]), len(row.error)).interval
+    original = original_rows()[name].error
+    ours, theirs = statistic(row.error), statistic(original)
+    difference = bootstrap_estimate(lambda i, j: ours(i) - theirs(j), len(row.error), len(original))
     beside = {"last point": row.last} if table == "table-5.1" else {"after a median of five": row.crossing(width=5)}
     if script := load_rows("as-recorded", folder).get(name):
         beside["as its script ran it"] = script.minimum if table == "table-5.1" else script.crossing()
-    return Measured(difference, ours, row.records, beside)
+    interval = bootstrap_estimate(ours, len(row.error)).interval
+    return Measured(difference._replace(n=len(row.error)), interval, row.records, beside)
 
 
 def of_table(identifier: str, table: str, name: str) -> Statement:
@@ -138,7 +144,8 @@ def ratio(score: str, folder: Path | None) -> Measured | None:
         return None
     seeds = [seed for seed in rows[names[0]].seeds if seed in rows[names[1]].seeds]
     first, second = (rows[n].error[[rows[n].seeds.index(seed) for seed in seeds]] for n in names)
-    difference = bootstrap_estimate(lambda i: crossing(first[i]) / crossing(second[i]) - 0.8, len(seeds))
+    ours, theirs = crossing(first), crossing(second)
+    difference = bootstrap_estimate(lambda i: ours(i) / theirs(i) - 0.8, len(seeds))
     found = [record for name in names for record in rows[name].records]
     return Measured(difference, shifted(difference.interval, 0.8), found)
 

@@ -17,7 +17,14 @@ from dropout_uncertainty.data_efficiency.report.analysis import (
 )
 from dropout_uncertainty.judging.results import printed
 from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, from_range, nothing, shifted
-from dropout_uncertainty.stats import Interval, bootstrap_estimate, mean_estimate, share_estimate, t_interval
+from dropout_uncertainty.stats import (
+    Interval,
+    bootstrap_estimate,
+    mean_estimate,
+    share_estimate,
+    smaller_median,
+    t_interval,
+)
 
 __all__ = ["MARGIN_COST", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "stated"]
 
@@ -62,7 +69,7 @@ def trials_to_solve(config: str, low: float, high: float, folder: Path | None) -
     if learning is None:
         return None
     first = learning.first_solved
-    trial = bootstrap_estimate(lambda i: float(np.quantile(first[i], 0.5, method="inverted_cdf")), len(first))
+    trial = bootstrap_estimate(lambda i: smaller_median(first[i]), len(first))
     return Measured(from_range(trial, low, high), trial.interval, learning.records)
 
 
@@ -72,13 +79,10 @@ def times_as_many(claimed: float, folder: Path | None) -> Measured | None:
     if deep is None or pilco is None:
         return None
 
-    def ratio(i: np.ndarray, j: np.ndarray) -> float:
-        ours, theirs = (
-            float(np.quantile(x, 0.5, method="inverted_cdf")) for x in (deep.first_solved[i], pilco.first_solved[j])
-        )
-        return ours / theirs - claimed
-
-    difference = bootstrap_estimate(ratio, len(deep.seeds), len(pilco.seeds))
+    ours, theirs = deep.first_solved, pilco.first_solved
+    difference = bootstrap_estimate(
+        lambda i, j: smaller_median(ours[i]) / smaller_median(theirs[j]) - claimed, len(ours), len(theirs)
+    )
     return Measured(difference, shifted(difference.interval, claimed), [*deep.records, *pilco.records])
 
 

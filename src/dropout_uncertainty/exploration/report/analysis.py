@@ -15,9 +15,10 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import (
     Interval,
     bootstrap_interval,
-    first_crossing,
+    first_crossings,
     median_interval,
     paired_difference,
+    smaller_median,
     t_interval,
 )
 
@@ -83,7 +84,7 @@ class Curves:
     def crossings(self, target: float = TARGET) -> Float[np.ndarray, " R"]:
         """Return the tick of the first point after the burn-in at which each run reaches ``target``; inf if none."""
         later = self.ticks > BURN_IN
-        first = [first_crossing(curve[later], target, above=True) for curve in self.average]
+        first = first_crossings(self.average[:, later], target, above=True)
         return BURN_IN + BLOCK * (np.array(first) + 1)
 
     def mean(self, start: int, stop: int, name: str | None = None) -> Float[np.ndarray, " R"]:
@@ -197,13 +198,13 @@ def advantage(agents: Agents, first: str, second: str) -> Interval:
     Of the seeds that both have; agents of one seed stay together.
     """
     slow, fast = (batches(curves.crossings()) for curves in paired(agents[second], agents[first]))
+    return bootstrap_interval(lambda i: ratio(slow[i], fast[i]), len(slow))
 
-    def ratio(indices: np.ndarray) -> np.ndarray:
-        late, early = (np.quantile(values[indices], 0.5, axis=-1, method="inverted_cdf") for values in (slow, fast))
-        # 1 also where neither arrives
-        return np.divide(late, early, out=np.ones_like(late), where=late != early)
 
-    return bootstrap_interval(ratio, len(slow), vectorized=True)
+def ratio(slow: np.ndarray, fast: np.ndarray) -> np.ndarray:
+    """Return the median of ``slow`` [..., n] by that of ``fast``; 1 also where neither arrives."""
+    late, early = smaller_median(slow), smaller_median(fast)
+    return np.divide(late, early, out=np.ones_like(late), where=late != early)
 
 
 def compare(first: Curves, second: Curves, start: int, stop: int) -> Interval:

@@ -24,6 +24,7 @@ from dropout_uncertainty.exploration.report.analysis import (
     load,
     median,
     paired,
+    ratio,
 )
 from dropout_uncertainty.exploration.report.deep_sea import analysis as deep_sea
 from dropout_uncertainty.judging.results import printed
@@ -33,6 +34,7 @@ from dropout_uncertainty.stats import (
     difference_of_shares,
     mean_estimate,
     share_estimate,
+    smaller_median,
     t_interval,
 )
 
@@ -92,7 +94,7 @@ def arrival(config: str, folder: Path | None) -> Measured | None:
     if found is None:
         return None
     when, claimed = batches(found[0].crossings()), CLAIMED["epsilon-greedy"]
-    late = bootstrap_estimate(lambda i: float(np.quantile(when[i], 0.5, method="inverted_cdf")) - claimed, len(when))
+    late = bootstrap_estimate(lambda i: smaller_median(when[i]) - claimed, len(when))
     beside = {"batches of 200 ticks": median(batches(found[0].crossings(), 200))}
     return Measured(late, shifted(late.interval, claimed), found[0].records, beside)
 
@@ -104,11 +106,7 @@ def quicker(claimed: float, folder: Path | None) -> Measured | None:
         return None
     fast, slow = (batches(curves.crossings()) for curves in paired(*found))
 
-    def ratio(indices: np.ndarray) -> float:
-        late, early = (np.quantile(x[indices], 0.5, method="inverted_cdf") for x in (slow, fast))
-        return (1.0 if late == early else float(late / early)) - claimed  # also where neither arrives
-
-    difference = bootstrap_estimate(ratio, len(slow))
+    difference = bootstrap_estimate(lambda i: ratio(slow[i], fast[i]) - claimed, len(slow))
     beside = {}
     for words, config in (("one world", "as-demo"), ("dropout where the text has it", "as-written")):
         if together := agents(config, folder, "thompson", "epsilon-greedy"):
