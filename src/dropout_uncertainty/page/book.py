@@ -14,8 +14,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
+from collections.abc import Iterator, Sequence
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from filelock import FileLock, Timeout
 from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.page import profiles
-from dropout_uncertainty.runs import records
+from dropout_uncertainty.runs import executors, records
 
 __all__ = ["BookError", "build", "notebooks", "run_notebooks", "times"]
 
@@ -108,27 +108,50 @@ def _run_notebooks(profile: str, names: Sequence[str] | None) -> dict[str, float
     shutil.rmtree(RUNNING, ignore_errors=True)
     for folder in (EXECUTED, RUNNING):
         folder.mkdir(parents=True, exist_ok=True)
-    return {name: _execute(name, profile) for name in (known if names is None else names)}
+    chosen = known if names is None else list(names)
+    took: dict[str, float] = {}
+    for group in ([name for name in chosen if name != LAST], [name for name in chosen if name == LAST]):
+        if group:
+            took |= _side_by_side(group, profile)
+    return {name: took[name] for name in chosen}
 
 
-def _execute(name: str, profile: str) -> float:
-    """Run one notebook and return the seconds it took; an earlier result stays only if this one is complete."""
+def _side_by_side(names: Sequence[str], profile: str) -> dict[str, float]:
+    """Run notebooks that need nothing of each other and return the seconds each took, those that last longest first."""
+    # those that start processes on every core share them with one other, those that compute records with none
+    places = min({"recorded": os.cpu_count() or 1, "quick": 2, "full": 1}[profile], len(names))
+    took_before = {name: entry["seconds"] for entries in times().values() for name, entry in entries.items()}
+    took = {}
+    with executors.processes(places) as pool, _nothing_left():
+        order = sorted(names, key=lambda name: -took_before.get(name, 0.0))
+        waiting = {pool.submit(_execute, name, profile, places): name for name in order}
+        for future in as_completed(waiting):
+            name = waiting[future]
+            entry = future.result()
+            took[name] = entry["seconds"]
+            _note(profile, name, **entry)
+            print(f"{NOTEBOOKS / name}.ipynb ran in profile {profile}: {_duration(took[name])}", flush=True)
+    return took
+
+
+def _execute(name: str, profile: str, places: int) -> dict[str, float]:
+    """Run one notebook beside others and return what it took; an earlier result stays only if this one is complete."""
     papermill, failures = _papermill()
     source, running = NOTEBOOKS / f"{name}.ipynb", RUNNING / f"{name}.ipynb"
     (EXECUTED / running.name).unlink(missing_ok=True)
+    os.environ["OMP_NUM_THREADS"] = str(max(1, (os.cpu_count() or 1) // places))
     # every parameter is injected, so that the page can show the injected cell alone
     known = papermill.inspect_notebook(str(source))
     parameters = {key: ast.literal_eval(value["default"]) for key, value in known.items()} | {"profile": profile}
     begin, worked = time.monotonic(), _cpu_seconds()
     try:
         with _peak_megabytes() as peak:
-            _aside(
-                papermill.execute_notebook,
+            papermill.execute_notebook(
                 str(source),
                 str(running),
                 parameters,
                 cwd=str(NOTEBOOKS),  # as in JupyterLab
-                progress_bar=sys.stderr.isatty(),
+                progress_bar=places == 1 and sys.stderr.isatty(),
                 extra_arguments=["--log-level=ERROR"],  # the kernel warns of every connection that is not encrypted
             )
     except papermill.PapermillExecutionError as error:
@@ -138,33 +161,23 @@ def _execute(name: str, profile: str) -> float:
             f"{source} stopped in its cell {error.cell_index} (`{first_line}`): {error.ename}: {error.evalue}"
         ) from None
     except failures as error:
-        raise BookError(f"{source} could not be run to its end: {error}") from error
+        raise BookError(f"{source} could not be run to its end: {error}") from None
     running.replace(EXECUTED / running.name)
-    seconds = time.monotonic() - begin
-    _note(profile, name, seconds=seconds, cpu_seconds=_cpu_seconds() - worked, megabytes=max(peak))
-    print(f"{source} ran in profile {profile}: {_duration(seconds)}", flush=True)
-    return seconds
+    return {
+        "seconds": time.monotonic() - begin,
+        "cpu_seconds": _cpu_seconds() - worked,
+        "megabytes": max(peak),
+    }
 
 
-def _aside(function: Callable[..., Any], *arguments: Any, **options: Any) -> None:
-    """Call a function in another thread: in the main one papermill's libraries would answer signals in their way.
-
-    What the function has started ends with it, and also where this one is left by an exception.
-    """
+@contextlib.contextmanager
+def _nothing_left() -> Iterator[None]:
+    """End what was started within, kernels and their workers too, where this is left by an exception."""
     import psutil
 
-    outcome: Future[None] = Future()
-
-    def call() -> None:
-        try:
-            outcome.set_result(function(*arguments, **options))
-        except Exception as error:
-            outcome.set_exception(error)
-
     before = psutil.Process().children()
-    threading.Thread(target=call, daemon=True).start()
     try:
-        outcome.result()
+        yield
     except BaseException:
         for process in psutil.Process().children(recursive=True):
             if process not in before:
