@@ -12,6 +12,7 @@ from dropout_uncertainty.exploration.experiment import AS_DEMO, CONFIGS, WIDE, A
 from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.runs import execute, records
 from dropout_uncertainty.runs.unit import Unit
+from dropout_uncertainty.settings import config_hash
 
 #: Small and quick to learn, but with every feature of the published configs.
 SMALL = replace(
@@ -211,8 +212,8 @@ def test_published_configs_say_what_they_are():
     assert all(len(config.agents) == 1 for name, config in CONFIGS.items() if name.startswith("ours"))
     plain, dropout = WIDE["wide"], WIDE["wide-dropout"]
     assert replace(plain, agents=dropout.agents) == dropout
-    assert records.config_hash(CONFIGS["two-by-two/dropout-draw"]) == records.config_hash(CONFIGS["ours-thompson"])
-    assert records.config_hash(CONFIGS["two-by-two/plain-mean"]) == records.config_hash(CONFIGS["ours-greedy"])
+    assert config_hash(CONFIGS["two-by-two/dropout-draw"]) == config_hash(CONFIGS["ours-thompson"])
+    assert config_hash(CONFIGS["two-by-two/plain-mean"]) == config_hash(CONFIGS["ours-greedy"])
     (unit,) = experiment.units("as-demo")
     assert unit.label == "exploration/as-demo/000-009"
 

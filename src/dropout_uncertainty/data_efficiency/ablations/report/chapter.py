@@ -20,8 +20,8 @@ from dropout_uncertainty.data_efficiency.report import analysis
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.page.profiles import complete
 from dropout_uncertainty.page.tables import Words
-from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.settings import config_diff
 from dropout_uncertainty.stats import t_interval
 
 __all__ = [
@@ -129,7 +129,7 @@ def changes(base: variants.VariantConfig) -> tuple[list[str], list[list[object]]
     cells: list[list[object]] = [
         [variant.claim, variant.words, field, *(f"{x:.3g}" if isinstance(x, float) else x for x in values)]
         for variant in VARIANTS.values()
-        for field, *values in records.config_diff(base, variant.config)
+        for field, *values in config_diff(base, variant.config)
     ]
     return ["claim", "variant", "field", "ours", "here"], cells
 
