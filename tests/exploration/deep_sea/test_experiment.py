@@ -102,8 +102,10 @@ def test_seeds_are_cut_into_units():
         ({"size": 1}, "at least 2 rows, got a size of 1"),
         ({"episodes": 15}, "positive multiple of 10, got 15"),
         ({"drop": (0.1, 0.0, 0.0)}, "the first 0 for one-hot inputs"),
-        ({"share": 0.0}, r"a share in \(0, 1\], got 1 and 0.0"),
-        ({"anneal_episodes": 0}, "anneal_episodes must be positive, got 0"),
+        ({"share": 0.0}, r"a share lies in \(0, 1\], got 0.0"),
+        ({"anneal_episodes": 0}, "anneal_episodes must be at least 1, got 0"),
+        ({"learning_rate": 0.0}, "nothing is learned, got 0.0"),
+        ({"memory": 0}, "memory must be at least 1, got 0"),
     ],
 )
 def test_configs_that_make_no_sense_are_refused(settings, message):
