@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from dropout_uncertainty import cli
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_hash
 
 
 def command(*arguments, **options):
@@ -85,7 +86,7 @@ def test_a_bug_shows_where_it_is(monkeypatch):
 
 def test_records_without_provenance_are_listed(tmp_path, monkeypatch):
     header = {
-        "experiment": "toy", "name": "walk", "seeds": [100], "config": {}, "config_hash": records.config_hash({}),
+        "experiment": "toy", "name": "walk", "seeds": [100], "config": {}, "config_hash": config_hash({}),
         "device": "cpu", "precision": "float32", "provenance": {},
     }  # fmt: skip
     path = records.write(tmp_path / "toy" / "walk" / "100.npz", {"x": np.zeros(1)}, header).path

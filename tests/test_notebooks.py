@@ -1,6 +1,7 @@
 """Notebooks are committed as they should be read: no outputs, short cells, one place to choose the profile."""
 
 import ast
+import statistics
 from pathlib import Path
 
 import nbformat
@@ -9,9 +10,18 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-LONGEST_CELL = 25
+#: Lines of a cell of code: of the longest, and of the one in the middle. A notebook reads like a lecture.
+LONGEST_CELL, MIDDLE_CELL = 20, 5
+#: More lines than these of drawing belong to the package.
+LONGEST_DRAWING = 6
+
+#: Not yet cut into one call per experiment.
+UNCUT = {"5_3_is_it_exploration"}
 
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+every_cut_notebook = pytest.mark.parametrize(
+    "path", [path for path in NOTEBOOKS if path.stem not in UNCUT], ids=lambda path: path.stem
+)
 
 
 def code_cells(path):
@@ -60,6 +70,33 @@ def test_a_wrong_profile_is_one_sentence_in_a_notebook(tmp_path):
 def test_cells_are_short(path):
     long = [cell.source.splitlines()[0] for cell in code_cells(path) if len(cell.source.splitlines()) > LONGEST_CELL]
     assert not long, f"cells of more than {LONGEST_CELL} lines: move the work to src/ ({long})"
+    middle = statistics.median(len(cell.source.splitlines()) for cell in code_cells(path))
+    assert middle <= MIDDLE_CELL, f"half of the cells of {path.name} have {middle} lines or more: move work to src/"
+
+
+@every_notebook
+def test_cells_that_draw_are_a_call(path):
+    long = [
+        cell.source.splitlines()[0]
+        for cell in code_cells(path)
+        if "subplots(" in cell.source and len(cell.source.splitlines()) > LONGEST_DRAWING
+    ]
+    assert not long, f"more than {LONGEST_DRAWING} lines that draw: move them to report/ ({long})"
+
+
+@every_cut_notebook
+def test_cells_do_not_branch_on_the_profile(path):
+    """What a profile computes and shows is one call; a cell only hands the profile on."""
+    for cell in code_cells(path):
+        compared = [node.left for node in ast.walk(ast.parse(cell.source)) if isinstance(node, ast.Compare)]
+        names = [ast.unparse(left) for left in compared]
+        assert "profile" not in names, f"{path.name} branches on the profile: {cell.source.splitlines()[0]}"
+
+
+@every_cut_notebook
+def test_the_first_cell_of_imports_is_folded(path):
+    cell = next(cell for cell in code_cells(path) if "import " in cell.source)
+    assert "hide-input" in cell.metadata.get("tags", [])
 
 
 @every_notebook

@@ -1,6 +1,6 @@
 """Settings of every section: equal ones have equal hashes, and what cannot be meant is refused in a sentence."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import pytest
@@ -11,8 +11,7 @@ from dropout_uncertainty.data_efficiency.pilco import learner as pilco
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.exploration import experiment as exploration
 from dropout_uncertainty.exploration.foraging.world import Rules
-from dropout_uncertainty.runs.records import config_hash
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import config_dict, config_diff, config_hash, tidy
 
 CONFIGS = {
     "5.2": active_learning.Config(pool=50, subset=20, random_from=30),
@@ -81,3 +80,32 @@ def test_every_section_is_held_to_it(config):
     for name in numbers(config, float):
         with pytest.raises(ValueError, match=r"must be|number|does nothing here"):
             replace(config, **{name: float("nan")})
+
+
+@dataclass(frozen=True)
+class Inner:
+    x: float = 1.0
+    late: str | None = field(default=None, metadata={"before": None})
+
+
+@dataclass(frozen=True)
+class Grown:
+    rounds: int = 3
+    drop: tuple[float, float] = (0.25, 0.5)
+    late: int = field(default=7, metadata={"before": 5})
+    inner: tuple[Inner, ...] = ()
+
+
+#: As a record has it that was made before the class grew.
+STORED = {"rounds": 3, "drop": [0.25, 0.5]}
+
+
+def test_a_config_may_grow_without_losing_its_records():
+    as_before = Grown(late=5, inner=(Inner(),))
+    assert config_dict(as_before) == {"rounds": 3, "drop": [0.25, 0.5], "inner": [{"x": 1.0}]}
+    assert config_hash(as_before) == config_hash({**STORED, "inner": [{"x": 1.0}]})
+    assert config_hash(Grown()) != config_hash(Grown(late=5))
+    assert config_hash(Grown(inner=(Inner(late="a"),))) != config_hash(Grown(inner=(Inner(),)))
+    assert config_diff(Grown(late=5), Grown()) == [("late", 5, 7)]
+    assert config_diff(STORED | {"inner": []}, Grown()) == [("late", 5, 7)], "a stored config and one of today"
+    assert config_diff(STORED | {"inner": []}, Grown(late=5)) == []

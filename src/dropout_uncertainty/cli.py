@@ -232,7 +232,7 @@ def recorded_unit(header: Mapping[str, Any]) -> "Unit":
     Raises:
         UserError: if the code has no such config any more, or another one of that name.
     """
-    from dropout_uncertainty.runs import records
+    from dropout_uncertainty.settings import config_diff, config_hash
 
     where = f"{header['experiment']}/{header['name']}"
     modules = config_modules(header["experiment"])
@@ -240,8 +240,8 @@ def recorded_unit(header: Mapping[str, Any]) -> "Unit":
         raise UserError(f"{where} cannot be recomputed: there is no config of that name any more")
     module, seeds = modules[header["name"]], tuple(header["seeds"])
     unit = replace(module.units(header["name"], seeds[:1])[0], seeds=seeds, precision=header["precision"])
-    if records.config_hash(unit.config) != header["config_hash"]:
-        changed = ", ".join(field for field, *_ in records.config_diff(header["config"], unit.config))
+    if config_hash(unit.config) != header["config_hash"]:
+        changed = ", ".join(field for field, *_ in config_diff(header["config"], unit.config))
         raise UserError(f"{where} cannot be recomputed: its config has changed since ({changed})")
     return replace(unit, device=header["device"])
 

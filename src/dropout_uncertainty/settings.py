@@ -1,14 +1,23 @@
-"""Settings made plain, so that equal configs have equal hashes; what is not of the type its field names is refused."""
+"""Settings made plain, so that equal configs have equal hashes; what is not of the type its field names is refused.
 
+The hash of a config is part of what its records are known by, so what it is taken of must not change.
+"""
+
+import hashlib
+import json
 import math
 import operator
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-__all__ = ["tidy"]
+__all__ = ["config_dict", "config_diff", "config_hash", "tidy"]
+
+#: Equal to no value of a config.
+_NEVER = object()
 
 
 def tidy(config: Any) -> None:
@@ -53,3 +62,41 @@ def _finite(value: Any, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"{name} must be a finite number, got {value!r}")
     return float(value)
+
+
+def config_dict(config: Any) -> dict[str, Any]:
+    """Return a config dataclass (or mapping) as plain JSON data.
+
+    A field that was added after records had been published carries ``metadata={"before": value}`` and is left out
+    while it has that value, the one that the code knew before: those records keep their config and its hash.
+    """
+    return json.loads(json.dumps(_plain(config)))
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        kept = [f for f in fields(value) if getattr(value, f.name) != f.metadata.get("before", _NEVER)]
+        return {f.name: _plain(getattr(value, f.name)) for f in kept}
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def config_hash(config: Any) -> str:
+    """Return 16 hexadecimal digits that identify the content of a config."""
+    return hashlib.sha256(json.dumps(config_dict(config), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def config_diff(first: Any, second: Any) -> list[tuple[str, Any, Any]]:
+    """Return (field, value in first, value in second) for every field in which two configs differ."""
+    one, two = ({**_before(first), **_before(second), **config_dict(config)} for config in (first, second))
+    return [(key, one.get(key), two.get(key)) for key in dict.fromkeys([*one, *two]) if one.get(key) != two.get(key)]
+
+
+def _before(config: Any) -> dict[str, Any]:
+    """Return the values at which later fields of a config are left out."""
+    if not is_dataclass(config) or isinstance(config, type):
+        return {}
+    return {f.name: _plain(f.metadata["before"]) for f in fields(config) if "before" in f.metadata}

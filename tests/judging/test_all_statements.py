@@ -15,6 +15,7 @@ from dropout_uncertainty.judging.collect import STATEMENTS, collect, judged, num
 from dropout_uncertainty.judging.results import thesis_value
 from dropout_uncertainty.judging.statements import judge, nothing
 from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_dict, config_hash
 
 #: Plausible curves: where each row ends in %, so that every claim of the thesis holds.
 ENDS = {
@@ -25,7 +26,7 @@ ENDS = {
 
 
 def write_row(folder, name, end, seed, *, tied=False, family="ours"):
-    config = records.config_dict(CONFIGS[f"{family}/{name}"])
+    config = config_dict(CONFIGS[f"{family}/{name}"])
     labels = np.arange(20, 1001, 10, dtype=np.int32)
     noise = 0.02 * np.random.default_rng([seed, len(name)]).standard_normal(99)
     error = (end + 30 * np.exp(-(labels - 20) / (60 * end)) + noise)[None].astype(np.float32)
@@ -35,7 +36,7 @@ def write_row(folder, name, end, seed, *, tied=False, family="ours"):
     }  # fmt: skip
     header = {
         "experiment": "active_learning", "name": f"{family}/{name}", "seeds": [seed], "config": config,
-        "config_hash": records.config_hash(config), "device": "cpu", "precision": "bfloat16", "provenance": {},
+        "config_hash": config_hash(config), "device": "cpu", "precision": "bfloat16", "provenance": {},
     }  # fmt: skip
     records.write(folder / "active_learning" / family / name / f"{seed:03d}.npz", arrays, header)
 

@@ -6,6 +6,7 @@ import pytest
 
 from dropout_uncertainty.page.tables import Table, provenance
 from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_dict, config_hash
 
 
 @dataclasses.dataclass
@@ -26,8 +27,8 @@ def two_records(tmp_path):
             "experiment": "toy",
             "name": "ours",
             "seeds": seeds,
-            "config": records.config_dict(Config()),
-            "config_hash": records.config_hash(Config()),
+            "config": config_dict(Config()),
+            "config_hash": config_hash(Config()),
             "device": "cpu",
             "precision": "float32",
             "provenance": {**origin, "processor": "a machine", "wall_s": hours * 3600},

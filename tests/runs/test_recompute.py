@@ -13,6 +13,7 @@ from dropout_uncertainty import cli
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import execute, records
 from dropout_uncertainty.runs.recompute import choose, recompute
+from dropout_uncertainty.settings import config_dict, config_hash
 
 
 @pytest.fixture
@@ -118,7 +119,7 @@ def test_every_published_record_has_its_unit():
     ("changes", "message"),
     [
         ({"name": "ours/gone"}, "no config of that name any more"),
-        ({"config": {"rounds": 1}, "config_hash": records.config_hash({"rounds": 1})}, "its config has changed since"),
+        ({"config": {"rounds": 1}, "config_hash": config_hash({"rounds": 1})}, "its config has changed since"),
     ],
 )
 def test_a_record_whose_config_is_gone_is_named(changes, message):
@@ -142,7 +143,7 @@ def test_verify_recomputes_and_says_what_fails(tmp_path, monkeypatch):
     blocks = unit.config.ticks // experiment.BLOCK
     places = [0] * (blocks - process.total) + list(range(process.total))  # the first block is right
     longer = {name: array[..., places] for name, array in arrays.items()}
-    header = {**unit.identity, "config": records.config_dict(unit.config), "provenance": records.provenance()}
+    header = {**unit.identity, "config": config_dict(unit.config), "provenance": records.provenance()}
     path = tmp_path / f"{unit.label}.npz"
     records.write(path, longer, header)
     monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(tmp_path))

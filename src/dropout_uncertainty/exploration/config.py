@@ -1,17 +1,15 @@
 """What is set in an experiment of section 5.3, and what is refused: a setting that cannot work or would do nothing."""
 
-import math
 from dataclasses import dataclass, field, fields
 from typing import Any
-
-import numpy as np
 
 from dropout_uncertainty.bayes import check_probability
 from dropout_uncertainty.exploration.agent import CHUNK
 from dropout_uncertainty.exploration.foraging.world import Rules
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
+from dropout_uncertainty.settings import tidy
 
-__all__ = ["BLOCK", "NO_DROPOUT", "AgentConfig", "Config", "make_policy"]
+__all__ = ["BLOCK", "NO_DROPOUT", "AgentConfig", "Config", "at_least", "check_learning", "make_policy"]
 
 #: Ticks per block, the unit in which results are kept: one point of the demo's plot.
 BLOCK = 500
@@ -41,7 +39,7 @@ class AgentConfig:
     """Last tick at which a draw is acted on, later the mean weights; None: no end. Ours, after footnote 4."""
 
     def __post_init__(self) -> None:
-        _as_plain_numbers(self)
+        tidy(self)
 
     @property
     def drop_when_acting(self) -> tuple[float, ...]:
@@ -89,7 +87,7 @@ class Config:
     """Rules of the world."""
 
     def __post_init__(self) -> None:
-        _as_plain_numbers(self)
+        tidy(self)
         _check_sizes(self)
         for agent in self.agents:
             _check_agent(agent, self)
@@ -105,49 +103,33 @@ def make_policy(name: str, config: Config) -> Policy:
 # ------------------------------------------------------------------ what is refused
 
 
-def _as_plain_numbers(config: Any) -> None:
-    """Make numbers those of the field's type, and lists and arrays tuples, so that equal configs have equal hashes."""
-    for item in fields(config):
-        object.__setattr__(config, item.name, _plain(getattr(config, item.name), "float" in str(item.type)))
+def at_least(low: int, **settings: int | float) -> None:
+    """Refuse settings, given by name, below a number."""
+    for name, value in settings.items():
+        if value < low:
+            raise ValueError(f"{name} must be at least {low}, got {value}")
 
 
-def _plain(value: Any, real: bool) -> Any:
-    if isinstance(value, np.generic | np.ndarray):
-        value = value.tolist()
-    if real and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    return tuple(_plain(item, real) for item in value) if isinstance(value, list | tuple) else value
-
-
-def _check_whole(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
-
-
-def _check_number(name: str, value: Any, low: float, high: float = math.inf) -> None:
-    if not isinstance(value, int | float) or not (low <= value <= high and math.isfinite(value)):
-        wanted = f"from {low:g} to {high:g}" if high < math.inf else f"of at least {low:g}"
-        raise ValueError(f"{name} must be a number {wanted}, got {value!r}")
+def check_learning(config: Any) -> None:
+    """Refuse settings of network, memory and learning step with which nothing would be learned."""
+    at_least(1, memory=config.memory, batch=config.batch)
+    for width in config.hidden:
+        if width < 1:
+            raise ValueError(f"a hidden layer's width must be at least 1, got {width}")
+    if not 0 <= config.discount <= 1:
+        raise ValueError(f"discount must be a number from 0 to 1, got {config.discount}")
+    at_least(0, l2_decay=config.l2_decay)
+    if config.learning_rate <= 0:
+        raise ValueError(f"learning_rate must be above 0, or nothing is learned, got {config.learning_rate}")
 
 
 def _check_sizes(config: Config) -> None:
     """Refuse numbers out of their range, and sizes with which nothing would be learned or acted on."""
-    if not isinstance(config.agents, tuple) or not config.agents:
-        raise ValueError(f"a config needs at least one agent, as a tuple of AgentConfig, got {config.agents!r}")
-    for name, least in (("ticks", 1), ("memory", 1), ("batch", 1), ("learning_start", 0), ("held_out_every", 0)):
-        _check_whole(name, getattr(config, name), least)
-    if not isinstance(config.hidden, tuple):
-        raise ValueError(f"hidden must be a tuple of widths, got {config.hidden!r}")
-    for width in config.hidden:
-        _check_whole("a hidden layer's width", width, 1)
-    _check_whole("burn_in", config.burn_in, 1)
-    _check_number("discount", config.discount, 0.0, 1.0)
-    _check_number("l2_decay", config.l2_decay, 0.0)
-    _check_number("learning_rate", config.learning_rate, 0.0)
-    if config.learning_rate == 0:
-        raise ValueError("learning_rate must be above 0, or nothing is learned")
-    if not isinstance(config.rules, Rules):
-        raise ValueError(f"rules must be a Rules, got {config.rules!r}")
+    if not config.agents:
+        raise ValueError("a config needs at least one agent, as a tuple of AgentConfig, got ()")
+    check_learning(config)
+    at_least(1, ticks=config.ticks, burn_in=config.burn_in)
+    at_least(0, learning_start=config.learning_start, held_out_every=config.held_out_every)
     if config.ticks % BLOCK:
         raise ValueError(f"ticks must be a positive multiple of {BLOCK}, got {config.ticks}")
     if config.memory <= config.learning_start:
@@ -170,17 +152,15 @@ def _check_held_out(config: Config) -> None:
 
 def _check_agent(agent: AgentConfig, config: Config) -> None:
     """Refuse an agent that cannot be, or draws that would be none."""
-    if not isinstance(agent, AgentConfig):
-        raise ValueError(f"expected agents as a tuple of AgentConfig, got {agent!r}")
     name = agent.policy
     if name not in POLICIES:
         raise ValueError(f"unknown policy {name!r}, choose one of {', '.join(POLICIES)}")
     for drop in (agent.drop, agent.drop_when_acting):
-        if not isinstance(drop, tuple) or len(drop) != len(config.hidden) + 1:
+        if len(drop) != len(config.hidden) + 1:
             raise ValueError(f"expected {len(config.hidden) + 1} drop probabilities per agent, got {drop}")
         for p in drop:
             check_probability(p)
-    _check_whole("hold", agent.hold, 1)
+    at_least(1, hold=agent.hold)
     if CHUNK % agent.hold and agent.hold % CHUNK:
         raise ValueError(f"hold must be a divisor or a multiple of {CHUNK} ticks, got {agent.hold}")
     draws = POLICIES[name].draws_weights
@@ -189,7 +169,7 @@ def _check_agent(agent: AgentConfig, config: Config) -> None:
     if not draws and (agent.drop_acting, agent.hold, agent.draws_until) != (None, 1, None):
         raise ValueError(f"{name} acts on the mean weights: drop_acting, hold and draws_until would do nothing")
     if agent.draws_until is not None:
-        _check_whole("draws_until", agent.draws_until, config.burn_in + 3)
+        at_least(config.burn_in + 3, draws_until=agent.draws_until)
         if agent.draws_until >= config.ticks:
             raise ValueError(f"draws_until must lie before the last tick ({config.ticks}), got {agent.draws_until}")
 

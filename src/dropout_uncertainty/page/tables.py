@@ -10,7 +10,7 @@ from markdown_it import MarkdownIt
 
 from dropout_uncertainty.runs.records import Record
 
-__all__ = ["Folded", "Rendered", "Table", "command", "provenance"]
+__all__ = ["Folded", "Rendered", "Table", "Words", "command", "provenance"]
 
 
 class Rendered:
@@ -57,6 +57,13 @@ class Table(Rendered):
         super().__init__(markdown, heading + html)
 
 
+class Words(Rendered):
+    """A paragraph of Markdown, such as one with computed numbers."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text, _markdown().render(text))
+
+
 class Folded(Rendered):
     """Something that shows its title only until it is clicked at.
 
@@ -67,23 +74,26 @@ class Folded(Rendered):
 
     def __init__(self, title: str, body: Rendered | str) -> None:
         if isinstance(body, str):
-            body = Rendered(body, _markdown().render(body))
+            body = Words(body)
         super().__init__(
             f"````{{dropdown}} {title}\n{body.markdown}\n````",
             f"<details><summary>{escape(title)}</summary>\n{body.html}</details>",
         )
 
 
-def provenance(records: Sequence[Record], profile: str = "recorded") -> Rendered:
+def provenance(records: Sequence[Record], profile: str = "recorded", without: str | None = None) -> Rendered:
     """Return the line that says where numbers come from, with the details folded away.
 
     The line names profile, seeds, date, processor, commit and computing time of the records; below it stand, for each
-    named config, the command that makes its records, their files and the config itself.
+    named config, the command that makes its records, their files and the config itself. A page that may have no records
+    says ``without`` which words stand then.
 
     Raises:
-        ValueError: if there is no record.
+        ValueError: if there is no record, and no words for that.
     """
     if not records:
+        if without is not None:
+            return Words(without)
         raise ValueError("provenance needs at least one record")
     names = dict.fromkeys((record.header["experiment"], record.header["name"]) for record in records)
     groups = [[r for r in records if (r.header["experiment"], r.header["name"]) == name] for name in names]

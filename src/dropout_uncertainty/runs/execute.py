@@ -24,6 +24,7 @@ from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.process import Process, rounding
 from dropout_uncertainty.runs.records import Record, RecordError
 from dropout_uncertainty.runs.unit import RunError, Unit, check_memory, differing
+from dropout_uncertainty.settings import config_dict
 
 __all__ = ["run", "run_unit"]
 
@@ -152,7 +153,7 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool) -> Record:
     origin = {**where, **clock, **timings, "commits": commits, "dirty": _any_dirty(commits)}
     if parents:
         origin |= {f"whole_{key}": clock[key] + sum(one[key] for one in parents) for key in ("wall_s", "cpu_s")}
-    header = {**unit.identity, "config": records.config_dict(unit.config), "parents": parents, "provenance": origin}
+    header = {**unit.identity, "config": config_dict(unit.config), "parents": parents, "provenance": origin}
     record = records.write(_path(unit, folder), process.result(), header)
     partial.unlink(missing_ok=True)
     return record

@@ -20,7 +20,7 @@ import subprocess
 import tempfile
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -29,10 +29,11 @@ import numpy as np
 
 from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
+from dropout_uncertainty.settings import config_diff, config_hash
 
 __all__ = [
-    "Record", "RecordError", "checksum", "config_dict", "config_diff", "config_hash", "file_name", "find",
-    "header_checksum", "missing_seeds", "parent", "provenance", "read", "root", "table", "verify", "write",
+    "Record", "RecordError", "checksum", "file_name", "find", "header_checksum", "missing_seeds", "parent",
+    "provenance", "read", "root", "table", "verify", "write",
 ]  # fmt: skip
 
 SCHEMA = 2
@@ -42,8 +43,6 @@ NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, err
 #: Longest list of seeds in the name of a file.
 LONGEST = 60
 REMEDY = "restore it from version control, or delete it and run its unit again"
-#: Equal to no value of a config.
-_NEVER = object()
 REQUIRED = {
     "schema": int, "label": str, "experiment": str, "name": str, "seeds": list, "device": str, "precision": str,
     "config": dict, "config_hash": str, "provenance": dict, "payload": str, "checksum": str,
@@ -103,44 +102,6 @@ def table(name: str) -> list[dict[str, str]]:
     except FileNotFoundError:
         remedy = f"a clone of the repository has it; name its folder of records with {folders.RECORDS}"
         raise RecordError(f"there is no table {path}: {remedy}") from None
-
-
-def config_dict(config: Any) -> dict[str, Any]:
-    """Return a config dataclass (or mapping) as plain JSON data.
-
-    A field that was added after records had been published carries ``metadata={"before": value}`` and is left out
-    while it has that value, the one that the code knew before: those records keep their config and its hash.
-    """
-    return json.loads(json.dumps(_plain(config)))
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        kept = [f for f in fields(value) if getattr(value, f.name) != f.metadata.get("before", _NEVER)]
-        return {f.name: _plain(getattr(value, f.name)) for f in kept}
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
-
-
-def config_hash(config: Any) -> str:
-    """Return 16 hexadecimal digits that identify the content of a config."""
-    return hashlib.sha256(json.dumps(config_dict(config), sort_keys=True).encode()).hexdigest()[:16]
-
-
-def config_diff(first: Any, second: Any) -> list[tuple[str, Any, Any]]:
-    """Return (field, value in first, value in second) for every field in which two configs differ."""
-    one, two = ({**_before(first), **_before(second), **config_dict(config)} for config in (first, second))
-    return [(key, one.get(key), two.get(key)) for key in dict.fromkeys([*one, *two]) if one.get(key) != two.get(key)]
-
-
-def _before(config: Any) -> dict[str, Any]:
-    """Return the values at which later fields of a config are left out."""
-    if not is_dataclass(config) or isinstance(config, type):
-        return {}
-    return {f.name: _plain(f.metadata["before"]) for f in fields(config) if "before" in f.metadata}
 
 
 def checksum(arrays: Mapping[str, np.ndarray]) -> str:

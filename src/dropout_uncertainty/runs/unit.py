@@ -13,6 +13,7 @@ from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.process import Process
 from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.settings import config_hash
 
 __all__ = ["RunError", "Unit", "check_device", "check_memory", "differing", "precision_dtype"]
 
@@ -58,7 +59,7 @@ class Unit:
         return {
             "experiment": self.experiment,
             "name": self.name,
-            "config_hash": records.config_hash(self.config),
+            "config_hash": config_hash(self.config),
             "seeds": list(self.seeds),
             "device": torch.device(self.device).type,
             "precision": self.precision,

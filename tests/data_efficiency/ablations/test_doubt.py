@@ -16,7 +16,7 @@ from dropout_uncertainty.data_efficiency.pilco import planning
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.errors import UserError
-from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_diff
 
 SHORT = {"plant": replace(PAPER, steps=6, solved_steps=2), "trials": 2}
 SMALL = SHORT | {
@@ -58,13 +58,13 @@ def finish(process):
 )
 def test_a_learner_differs_in_the_named_fields_from_the_one_with_doubt(name, differing):
     config, other = doubt.CONFIGS[f"doubt/{name}"], CONFIGS[doubt.WITH_DOUBT[name]]
-    assert {field for field, *_ in records.config_diff(config, other)} == differing
+    assert {field for field, *_ in config_diff(config, other)} == differing
 
 
 def test_the_text_differs_from_ours_in_thirteen_choices():
-    differing = {f for f, *_ in records.config_diff(OURS, AS_TEXT)}
+    differing = {f for f, *_ in config_diff(OURS, AS_TEXT)}
     assert len(differing) == 13
-    from_paper = records.config_diff(AS_WRITTEN, AS_TEXT)
+    from_paper = config_diff(AS_WRITTEN, AS_TEXT)
     assert {f for f, *_ in from_paper} == {"memory", "angle_features", "standardise"}
 
 

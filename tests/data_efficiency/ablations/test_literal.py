@@ -6,7 +6,7 @@ from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import literal
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS
 from dropout_uncertainty.errors import UserError
-from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_diff, config_hash
 
 
 @pytest.mark.parametrize("name", literal.CONFIGS)
@@ -14,14 +14,14 @@ def test_one_choice_changes(name):
     _, direction, change = name.split("/")
     base, other = (AS_TEXT, OURS) if direction == "add" else (OURS, AS_TEXT)
     field = literal.CHANGES[change]
-    differing = {f: new for f, old, new in records.config_diff(base, literal.CONFIGS[name]) if f != "trials"}
+    differing = {f: new for f, old, new in config_diff(base, literal.CONFIGS[name]) if f != "trials"}
     assert differing == {field: getattr(other, field)}
     assert literal.CONFIGS[name].trials == 25
 
 
 def test_all_choices_together_lead_from_the_text_to_ours():
     assert len(literal.CHANGES) == 13
-    assert len({records.config_hash(config) for config in literal.CONFIGS.values()}) == 26
+    assert len({config_hash(config) for config in literal.CONFIGS.values()}) == 26
 
 
 def test_units_leave_small_records_and_bad_names_are_named():

@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.rng import generator
-from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_diff, config_hash
 
 #: The least work that goes through every part.
 SMALL = {
@@ -65,13 +65,13 @@ def test_the_base_is_ours_for_fewer_trials():
 @pytest.mark.parametrize("name", VARIANTS)
 def test_a_variant_differs_in_the_named_fields_alone(name):
     variant = VARIANTS[name]
-    differing = {field: new for field, _, new in records.config_diff(BASE, variant.config)}
+    differing = {field: new for field, _, new in config_diff(BASE, variant.config)}
     assert differing == dict(variant.changes)
     assert CONFIGS[f"what-matters/{name}"] == variant.config
 
 
 def test_no_two_variants_are_the_same():
-    assert len({records.config_hash(config) for config in CONFIGS.values()}) == len(CONFIGS)
+    assert len({config_hash(config) for config in CONFIGS.values()}) == len(CONFIGS)
 
 
 def test_the_command_line_knows_the_family():

@@ -16,6 +16,7 @@ from dropout_uncertainty.data_efficiency.report.animation import predictions, sw
 from dropout_uncertainty.judging.collect import STATEMENTS
 from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_dict, config_hash
 
 TRIALS, STEPS = 10, PAPER.steps
 
@@ -42,10 +43,10 @@ def learning(first, **options):
 
 
 def write(folder, first, name="pilco-paper", **options):
-    config = records.config_dict(CONFIGS[name])
+    config = config_dict(CONFIGS[name])
     header = {
         "experiment": "data_efficiency", "name": name, "seeds": list(range(len(first))), "config": config,
-        "config_hash": records.config_hash(config), "device": "cpu", "precision": "float64",
+        "config_hash": config_hash(config), "device": "cpu", "precision": "float64",
         "provenance": {f"{part}_cpu_s": [6.0] * (TRIALS + 1) for part in ("model", "policy", "trial")},
     }  # fmt: skip
     arrays32 = {name: value.astype(np.float32) for name, value in arrays(first, **options).items()}
@@ -138,11 +139,11 @@ def deep_arrays(first, *, followed=15, held=12, better=1, runs=8, trials=40):
 
 
 def write_deep(folder, config="deep-pilco-ours", **options):
-    settings = records.config_dict(CONFIGS[config])
+    settings = config_dict(CONFIGS[config])
     found = deep_arrays(**options)
     header = {
         "experiment": "data_efficiency", "name": config, "seeds": list(range(len(found["costs"]))),
-        "config": settings, "config_hash": records.config_hash(settings), "device": "cpu",
+        "config": settings, "config_hash": config_hash(settings), "device": "cpu",
         "precision": "float32",
         "provenance": {
             "model_cpu_s": [3000.0], "policy_cpu_s": [4000.0], "trial_cpu_s": [200.0], "processor": "a processor",
@@ -179,10 +180,10 @@ def test_tables_of_deep_pilco(tmp_path):
 
 def test_every_setting_that_was_tried_is_in_the_table(tmp_path):
     for name in ("search/start", "search/rate-decay"):
-        settings = records.config_dict(CONFIGS[name])
+        settings = config_dict(CONFIGS[name])
         header = {
             "experiment": "data_efficiency", "name": name, "seeds": list(range(100, 108)), "config": settings,
-            "config_hash": records.config_hash(settings), "device": "cpu", "precision": "float32", "provenance": {},
+            "config_hash": config_hash(settings), "device": "cpu", "precision": "float32", "provenance": {},
         }  # fmt: skip
         arrays = {"costs": deep_arrays(12)["costs"]}
         records.write(tmp_path / "data_efficiency" / name / "100-107.npz", arrays, header)

@@ -9,6 +9,7 @@ import torch
 from dropout_uncertainty.exploration.deep_sea.experiment import AGENTS, CONFIGS, REGRET, TIMES, WINDOW, start, units
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.unit import RunError
+from dropout_uncertainty.settings import config_hash
 
 SMALL = {
     name: replace(CONFIGS[f"deep-sea/{name}/5"], size=6, episodes=300, memory=300, batch=16, hidden=(20, 20))
@@ -81,8 +82,8 @@ def test_a_tenth_is_not_enough():
 def test_all_configs_are_named_after_agent_and_size():
     for name, config in CONFIGS.items():
         assert name.split("/")[-1] == str(config.size)
-    assert len(records.config_hash(CONFIGS["deep-sea/greedy/10"])) > 0
-    assert len({records.config_hash(config) for config in CONFIGS.values()}) == len(CONFIGS)
+    assert len(config_hash(CONFIGS["deep-sea/greedy/10"])) > 0
+    assert len({config_hash(config) for config in CONFIGS.values()}) == len(CONFIGS)
 
 
 def test_seeds_are_cut_into_units():
@@ -101,8 +102,10 @@ def test_seeds_are_cut_into_units():
         ({"size": 1}, "at least 2 rows, got a size of 1"),
         ({"episodes": 15}, "positive multiple of 10, got 15"),
         ({"drop": (0.1, 0.0, 0.0)}, "the first 0 for one-hot inputs"),
-        ({"share": 0.0}, r"a share in \(0, 1\], got 1 and 0.0"),
-        ({"anneal_episodes": 0}, "anneal_episodes must be positive, got 0"),
+        ({"share": 0.0}, r"a share lies in \(0, 1\], got 0.0"),
+        ({"anneal_episodes": 0}, "anneal_episodes must be at least 1, got 0"),
+        ({"learning_rate": 0.0}, "nothing is learned, got 0.0"),
+        ({"memory": 0}, "memory must be at least 1, got 0"),
     ],
 )
 def test_configs_that_make_no_sense_are_refused(settings, message):

@@ -9,6 +9,7 @@ from dropout_uncertainty.exploration.report import analysis, figures
 from dropout_uncertainty.judging.collect import STATEMENTS
 from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_dict, config_hash
 
 RUNS = 10
 #: Configs with a level that the reward approaches and the tick at which it has come two thirds of the way, per agent:
@@ -46,10 +47,10 @@ def write(folder, name, shapes, seeds=range(RUNS)):
     if name in ERRORS:
         wiggle = 1 + noise[..., :10]
         arrays["learned_td_error"], arrays["held_out_td_error"] = (error * wiggle for error in ERRORS[name])
-    plain = records.config_dict(config)
+    plain = config_dict(config)
     header = {
         "experiment": "exploration", "name": name, "seeds": list(seeds), "config": plain,
-        "config_hash": records.config_hash(plain), "device": "cpu", "precision": "float32", "provenance": {},
+        "config_hash": config_hash(plain), "device": "cpu", "precision": "float32", "provenance": {},
     }  # fmt: skip
     records.write(folder / "exploration" / name / f"{min(seeds):03d}-{max(seeds):03d}.npz", arrays, header)
 
@@ -183,10 +184,10 @@ def test_a_second_record_adds_its_seeds_and_comparisons_pair_by_seed(tmp_path):
 
     def store(name, seeds, more):
         reward = np.broadcast_to(np.array(seeds)[:, None, None] + more, (len(seeds), 1, blocks)).astype(float)
-        plain = records.config_dict(CONFIGS[name])
+        plain = config_dict(CONFIGS[name])
         header = {
             "experiment": "exploration", "name": name, "seeds": list(seeds), "config": plain,
-            "config_hash": records.config_hash(plain), "device": "cpu", "precision": "float32", "provenance": {},
+            "config_hash": config_hash(plain), "device": "cpu", "precision": "float32", "provenance": {},
         }  # fmt: skip
         arrays = {"average_reward": reward, "reward": reward, "weights": np.zeros((min(2, len(seeds)), 1, 7))}
         path = tmp_path / "exploration" / name / f"{records.file_name(seeds, 'cpu')}.npz"

@@ -14,6 +14,7 @@ from dropout_uncertainty.exploration.foraging.drawing import KIND_COLOURS
 from dropout_uncertainty.exploration.report import animation
 from dropout_uncertainty.exploration.report.animation import TrainedAgent, run
 from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_hash
 
 #: ε-greedy and Thompson in one world; short, and with more exploration left at its end than is published.
 SMALL = replace(
@@ -34,7 +35,7 @@ def process():
 def record(process):
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(CONFIGS, "small", SMALL)
-        header = {"experiment": "exploration", "name": "small", "config_hash": records.config_hash(SMALL)}
+        header = {"experiment": "exploration", "name": "small", "config_hash": config_hash(SMALL)}
         yield records.Record(header, process.result(), Path("100-101.npz"))
 
 

@@ -9,13 +9,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from dropout_uncertainty.active_learning.experiment import ROWS
 from dropout_uncertainty.active_learning.noisy_pools import Task
 from dropout_uncertainty.active_learning.report.analysis import Row
-from dropout_uncertainty.active_learning.report.pools import Contrast
+from dropout_uncertainty.active_learning.report.pools import Contrast, acquired
+from dropout_uncertainty.page.curve_toggles import Curves
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, band
 from dropout_uncertainty.stats import t_interval
 
-__all__ = ["class_shares", "digits", "figure_5_1", "figure_5_2", "forest", "learning_curves", "picked"]
+__all__ = [
+    "asked_for", "bought", "class_shares", "digits", "figure_5_1", "figure_5_2", "forest", "learning_curves", "picked",
+    "pool_curves", "to_choose",
+]  # fmt: skip
 
 
 def colour(name: str) -> str:
@@ -44,6 +49,46 @@ def learning_curves(
     ax.set_yticks([], minor=True)
     ax.legend()
     return ax
+
+
+def to_choose(rows: Mapping[str, Row], original: Mapping[str, Row] | None, shown: Sequence[str]) -> Curves:
+    """Return the learning curves of the rows of the tables, each with a box to tick; those of ``shown`` are ticked."""
+    curves = Curves("Falling error curves on a logarithmic axis, one for each row; boxes choose which")
+    for name in (name for name in rows if name in ROWS):
+        with curves.group(rows[name].label, shown=name in shown):
+            learning_curves(curves.ax, rows, [name], original=original)
+    return curves
+
+
+def asked_for(ax: Axes, points: Float[np.ndarray, "N 2"], classes: Int[np.ndarray, " N"], asked: np.ndarray) -> Axes:
+    """Draw points of two classes in the plane, with circles around those whose labels were asked for."""
+    x, y = points.T
+    ax.scatter(x, y, c=classes, cmap="coolwarm", s=12, alpha=0.4)
+    ax.scatter(x[asked], y[asked], facecolors="none", edgecolors="black", s=60, label="asked for")
+    ax.set(xlabel="first input", ylabel="second input")
+    ax.legend()
+    return ax
+
+
+def pool_curves(axes: Sequence[Axes], pools: Mapping[str, Mapping[str, Row]]) -> None:
+    """Draw the learning curves of each kind of pool, one panel each."""
+    for ax, (kind, rows) in zip(axes, pools.items(), strict=True):
+        ax.set_title(kind)
+        if rows:
+            learning_curves(ax, rows, list(rows))
+        else:
+            ax.text(0.5, 0.5, "not run yet", ha="center", transform=ax.transAxes)
+
+
+def bought(axes: Sequence[Axes], kind: str, rows: Mapping[str, Row], names: Sequence[str]) -> None:
+    """Draw the first sixty images that some rows acquired from a kind of pool, one panel each."""
+    found = [rows[name] for name in names if name in rows]
+    for ax in axes:
+        ax.axis("off")
+    for ax, row in zip(axes, found, strict=False):
+        task, points = acquired(kind, row)
+        picked(ax, task, points[:60], row.label)
+    axes[0].figure.suptitle(kind if found else f"{kind}: not run yet")
 
 
 def forest(ax: Axes, pairs: Sequence[Contrast], margin: float = 1.0) -> Axes:

@@ -9,8 +9,8 @@ from dataclasses import replace
 from dropout_uncertainty.data_efficiency.deep_pilco import learner
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS, DeepPilcoConfig
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
-from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.settings import config_diff
 
 __all__ = ["CHANGES", "CONFIGS", "FAMILY", "TRIALS"]
 
@@ -18,7 +18,7 @@ FAMILY = "literal"
 #: Controlled trials: those within which the thesis's learner succeeds.
 TRIALS = 25
 #: The fields of the config by the name of the change.
-CHANGES = {field.replace("_", "-"): field for field, *_ in records.config_diff(AS_TEXT, OURS)}
+CHANGES = {field.replace("_", "-"): field for field, *_ in config_diff(AS_TEXT, OURS)}
 
 
 def _changed(base: DeepPilcoConfig, other: DeepPilcoConfig, field: str) -> DeepPilcoConfig:

@@ -20,6 +20,7 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, CartPole
 from dropout_uncertainty.judging.results import Result, measured, thesis_value
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.settings import config_diff
 from dropout_uncertainty.stats import CONFIDENCE, Interval, median_interval, t_interval
 
 __all__ = [
@@ -463,7 +464,7 @@ def search_table(folder: Path | None = None) -> tuple[list[str], list[list[objec
     for name in sorted({r.header["name"] for r in tried}, key=lambda name: (name != "search/start", name)):
         learning = from_records(name, [r for r in tried if r.header["name"] == name])
         config = learning.records[0].header["config"]
-        changes = records.config_diff(base.header["config"], config) if base else []
+        changes = config_diff(base.header["config"], config) if base else []
         words = ", ".join(f"`{key}` {old} → {new}" for key, old, new in changes) or "the settings it began with"
         by = [_share(learning.solved_by(t)) for t in (10, 15, 20)]
         cells.append([

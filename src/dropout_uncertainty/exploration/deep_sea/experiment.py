@@ -14,11 +14,13 @@ import torch
 from jaxtyping import Bool, Float
 
 from dropout_uncertainty.bayes import check_probability
+from dropout_uncertainty.exploration.config import NO_DROPOUT, at_least, check_learning
 from dropout_uncertainty.exploration.deep_sea.agent import EPISODES, HELD, Agent, Held
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
 from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import Unit, precision_dtype
+from dropout_uncertainty.settings import tidy
 
 __all__ = [
     "AGENTS", "CONFIGS", "REGRET", "SIZES", "TIMES", "WINDOW", "Config", "Diving", "mean_regret", "start",
@@ -34,7 +36,6 @@ WINDOW = 100
 TIMES = (30, 100, 300, 1000, 3000, 10_000)
 #: No random moves at the start: `policies.in_burn_in` counts from the third tick.
 NO_BURN_IN = -2
-NO_DROPOUT = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,9 @@ def check(config: Config) -> None:
     """Raise ValueError where a config makes no sense."""
     if config.policy not in POLICIES:
         raise ValueError(f"unknown policy {config.policy!r}, choose one of {', '.join(POLICIES)}")
+    tidy(config)
+    check_learning(config)
+    at_least(1, members=config.members, anneal_episodes=config.anneal_episodes)
     if config.size < 2:
         raise ValueError(f"a sea has at least 2 rows, got a size of {config.size}")
     if config.episodes < EPISODES or config.episodes % EPISODES:
@@ -98,10 +102,8 @@ def check(config: Config) -> None:
         check_probability(p)
     if config.held not in HELD:
         raise ValueError(f"a draw is held for a move or an episode, got {config.held!r}")
-    if config.members < 1 or not 0 < config.share <= 1:
-        raise ValueError(f"expected a member and a share in (0, 1], got {config.members} and {config.share}")
-    if config.anneal_episodes < 1:
-        raise ValueError(f"anneal_episodes must be positive, got {config.anneal_episodes}")
+    if not 0 < config.share <= 1:
+        raise ValueError(f"a share lies in (0, 1], got {config.share}")
 
 
 #: The agents. What the chapter does not give was chosen once for all of them, on seeds 100-109 in seas of 8 and 10:

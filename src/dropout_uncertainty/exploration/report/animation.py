@@ -21,7 +21,8 @@ from dropout_uncertainty.exploration.report.analysis import LABELS
 from dropout_uncertainty.page.plotting import COLOURS
 from dropout_uncertainty.page.svg_animation import Player, Shape, circle, letters, line, polygon, text
 from dropout_uncertainty.runs import records
-from dropout_uncertainty.runs.records import Record, RecordError, config_hash
+from dropout_uncertainty.runs.records import Record, RecordError
+from dropout_uncertainty.settings import config_hash
 
 __all__ = ["Moment", "TrainedAgent", "animation", "compare", "run"]
 

@@ -20,6 +20,7 @@ from dropout_uncertainty.data_efficiency.report import analysis
 from dropout_uncertainty.judging.collect import STATEMENTS
 from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_dict, config_hash
 
 RUNS, STEPS = 10, PAPER.steps
 rng = np.random.default_rng(100)
@@ -32,10 +33,10 @@ def costs(first, trials):
 
 
 def write(folder, name, config, arrays, provenance=None, runs=RUNS):
-    plain = records.config_dict(config)
+    plain = config_dict(config)
     header = {
         "experiment": "data_efficiency", "name": name, "seeds": list(range(runs)), "config": plain,
-        "config_hash": records.config_hash(plain), "device": "cpu", "precision": "float32",
+        "config_hash": config_hash(plain), "device": "cpu", "precision": "float32",
         "provenance": provenance or {},
     }  # fmt: skip
     records.write(folder / "data_efficiency" / name / f"000-{runs - 1:03d}.npz", arrays, header)

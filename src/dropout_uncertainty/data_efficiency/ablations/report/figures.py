@@ -5,8 +5,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
+from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.ablations.report.analysis import NOMINAL, Comparison, Inside, Times
 from dropout_uncertainty.data_efficiency.ablations.scaling import AXES, METHODS
@@ -16,7 +18,18 @@ from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, band, legend_above
 from dropout_uncertainty.stats import Interval, t_interval
 
-__all__ = ["clouds", "curves", "forest", "gradients", "objective", "optimisers", "optimism", "parting", "scaling"]
+__all__ = [
+    "clouds",
+    "curves",
+    "forest",
+    "gradients",
+    "objective",
+    "optimisers",
+    "optimism",
+    "parting",
+    "scaling",
+    "splitting",
+]
 
 DARK = "#333333"
 #: Claims in the forest plot, in the order of the table.
@@ -70,6 +83,26 @@ def forest(axes: Sequence[Axes], comparisons: Sequence[Comparison]) -> None:
     success.set_yticks(range(len(names)), names)
     success.set(ylim=(len(names) - 0.5, -0.5), xlabel="share solved,\nvariant - ours")
     cost.set(xlabel="mean cost per step,\nvariant - ours")
+
+
+def splitting(
+    axes: Sequence[Axes],
+    psi: Float[Tensor, " N"],
+    paths: Mapping[bool, Float[Tensor, "T K"]],
+    found: Mapping[bool, tuple[Float[Tensor, " N"], Float[Tensor, " N"]]],
+) -> None:
+    """Draw the toy of a cloud that splits, for free and for matched particles.
+
+    Paths of one draw of particles; then, against where they start, the objective and the spread of its gradient.
+    """
+    for matched, words, colour in ((False, "free", COLOURS["bald"]), (True, "matched", "#0072B2")):
+        axes[0].plot(paths[matched], color=colour, lw=0.8, alpha=0.8)
+        for ax, values in zip(axes[1:], found[matched], strict=True):
+            ax.plot(psi, values, color=colour, label=words)
+    axes[0].set(xlabel="time", ylabel="place", title=r"one draw, $\psi = 0.1$", xticks=range(4))
+    axes[1].set(xlabel=r"$\psi$", ylabel="expected cost", title="objective")
+    axes[2].set(xlabel=r"$\psi$", ylabel="std over draws", title="gradient estimate")
+    axes[1].legend()
 
 
 def _whisker(ax: Axes, row: int, interval: Interval, colour: str) -> None:
