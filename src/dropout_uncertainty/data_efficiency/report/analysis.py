@@ -23,7 +23,8 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import CONFIDENCE, Interval, median_interval, t_interval
 
 __all__ = [
-    "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "check_quick_deep", "doubt_and_gradient",
+    "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "check_quick_deep", "cpu_seconds",
+    "doubt_and_gradient",
     "excess_on_predictable", "fitting_table", "from_arrays", "from_records", "load", "original", "repeats", "results",
     "run_time_table", "search_table", "share_interval", "share_solved", "solved_table", "steps_held",
     "steps_predicted", "time_table",
@@ -415,6 +416,11 @@ def time_table(learning: Learning, trials: Sequence[int]) -> tuple[list[str], li
         runs = sum(n for _, n in origins)
         cells.append([trial, trial * learning.plant.steps, *(f"{s / runs:.2f}" for s in seconds)])
     return heads, cells
+
+
+def cpu_seconds(record: Record, trials: int) -> float:
+    """Return the CPU seconds of all repetitions of a record up to a controlled trial."""
+    return float(sum(sum(record.header["provenance"][f"{part}_cpu_s"][: trials + 1]) for part in TIMED))
 
 
 def _on_cpu(learning: Learning) -> list[Record]:
