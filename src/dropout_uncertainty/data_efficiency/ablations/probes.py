@@ -2,7 +2,7 @@
 
 The measurements have random streams of their own and leave network and policy as they are, so learning goes as it
 would without them. What they serve: clouds of particles under masks held or redrawn, with moments matched or not
-(claims DE4 and DE6), the scatter of the policy gradient (DE4), the objective against the number of particles, and the
+(DE4 and DE6), the scatter of the policy gradient (DE4), the objective against the number of particles, and the
 three ways of lowering it (DE5).
 """
 
@@ -34,7 +34,7 @@ from dropout_uncertainty.data_efficiency.policies import RBFPolicy
 
 __all__ = ["CLOUDS", "DIAGONAL", "KEPT", "OPTIMISERS", "PARTED", "Mechanism", "MechanismConfig", "valley"]
 
-#: The 2 x 2 of claim DE6: masks held over the trajectory or redrawn at each step, moments matched or not.
+#: The 2 x 2 of statement DE6: masks held over the trajectory or redrawn at each step, moments matched or not.
 CLOUDS: dict[str, dict[str, Any]] = {
     "held-matched": {"hold_masks": True, "matching": "full"},
     "held-free": {"hold_masks": True, "matching": "off"},
@@ -46,7 +46,7 @@ DIAGONAL: dict[str, dict[str, Any]] = {
     "held-diagonal": {"hold_masks": True, "matching": "diagonal"},
     "redrawn-diagonal": {"hold_masks": False, "matching": "diagonal"},
 }
-#: Ways to lower the objective (claim DE5), by what they change in the plan.
+#: Ways to lower the objective (statement DE5), by what they change in the plan.
 OPTIMISERS: dict[str, dict[str, Any]] = {
     "fresh-adam": {},
     "fixed-adam": {"redraw_every": 0},
