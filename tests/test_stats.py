@@ -60,6 +60,16 @@ def test_all_resamples_at_once_give_the_numbers_of_one_by_one(width):
     assert stats.bootstrap_estimate(pair, 6, 5) == stats.bootstrap_estimate(one_by_one(plain), 6, 5)
 
 
+def test_a_crossing_that_is_never_reached_has_a_lower_limit():
+    reached, never = np.full(6, 7.0), np.full(6, np.inf)
+    found = stats.bootstrap_estimate(lambda i: np.minimum(never, 9)[i].max(-1) - 5, 6, most=lambda i: never[i].max(-1))
+    assert (found.value, found.low, found.high, found.low90) == (np.inf, 4, np.inf, 4)
+    assert found.p < 0.05
+    plain = stats.bootstrap_estimate(lambda i: reached[i].max(-1), 6)
+    assert stats.bootstrap_estimate(lambda i: reached[i].max(-1), 6, most=lambda i: reached[i].max(-1)) == plain
+    assert np.isnan(stats.bootstrap_estimate(lambda i: never[i].max(-1), 6).low)
+
+
 def test_a_statistic_that_mixes_resamples_is_refused():
     with pytest.raises(ValueError, match="one number per resample, 2000 in all, got shape \\(\\)"):
         stats.bootstrap_interval(lambda i: i.mean(), 4)

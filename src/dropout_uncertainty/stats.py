@@ -121,23 +121,29 @@ def difference_of_shares(first: Sequence[bool] | np.ndarray, second: Sequence[bo
     return Estimate(a - b, low, high, low90, high90, float(scipy_stats.fisher_exact(table).pvalue), n)
 
 
-def bootstrap_estimate(statistic: Statistic, *sizes: int) -> Estimate:
+def bootstrap_estimate(statistic: Statistic, *sizes: int, most: Statistic | None = None) -> Estimate:
     """Return ``statistic(indices, ...)`` of samples of the given sizes, with expanded percentile intervals.
 
     The statistic is as in ``bootstrap_interval``, with indices for each sample. Samples are resampled independently; a
     paired statistic has one. Plain percentiles are too narrow for few repetitions: the levels are widened as Student's
     t widens those of a normal mean, for the smallest sample (Hesterberg, 2015). The p-value is the level at which the
     interval first touches 0.
+
+    A crossing that runs never reach is censored: it lies beyond their end, nobody knows where. Then the statistic is
+    the least that the quantity can be, ``most`` the most, often infinite. Lower ends of the intervals come from the
+    one, the value and upper ends from the other.
     """
     n = min(sizes)
-    value = float(statistic(*map(np.arange, sizes)))
-    if n < 2 or not np.isfinite(value):
+    value = float((most or statistic)(*map(np.arange, sizes)))
+    if n < 2 or np.isnan(value) or (most is None and np.isinf(value)):
         return _unknown(value, n)
-    draws = _draws(statistic, sizes)
+    least_draws = _draws(statistic, sizes)
+    most_draws = least_draws if most is None else _draws(most, sizes)
     low, high, low90, high90 = (
-        float(np.quantile(draws, _expanded(level, n), method="inverted_cdf")) for level in (0.025, 0.975, 0.05, 0.95)
+        float(np.quantile(draws, _expanded(level, n), method="inverted_cdf"))
+        for draws, level in ((least_draws, 0.025), (most_draws, 0.975), (least_draws, 0.05), (most_draws, 0.95))
     )
-    tail = max(min(np.mean(draws <= 0), np.mean(draws >= 0)), 0.5 / RESAMPLES)
+    tail = max(min(np.mean(least_draws <= 0), np.mean(most_draws >= 0)), 0.5 / RESAMPLES)
     p = 2 * scipy_stats.t.cdf(scipy_stats.norm.ppf(tail) * ((n - 1) / n) ** 0.5, n - 1)
     return Estimate(value, low, high, low90, high90, min(1.0, float(p)), n)
 

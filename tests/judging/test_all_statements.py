@@ -62,7 +62,8 @@ def test_what_holds_is_supported(tmp_path):
 
 def test_what_fails_is_contradicted(tmp_path):
     worse = dict.fromkeys(["dropout/bald", "dropout/variation-ratios"], 6.0)
-    assert verdicts(world(tmp_path / "1", **worse), "AL3b", "AL3d", "AL6b") == ["contradicted"] * 3
+    assert verdicts(world(tmp_path / "1", **worse), "AL3b", "AL3d") == ["contradicted"] * 2
+    assert verdicts(tmp_path / "1", "AL6b") == ["inconclusive"], "neither row reaches 5 %"
     assert verdicts(world(tmp_path / "2", random=1.0), "AL5a", "AL5d") == ["contradicted"] * 2
 
 
@@ -80,6 +81,16 @@ def test_four_repetitions_and_none_are_untested_and_say_so(tmp_path):
     (tmp_path / "none").mkdir()
     (found,) = judge([STATEMENTS["AL3b"]], tmp_path / "none")
     assert (found.verdict, found.why) == ("untested", "no records yet")
+
+
+def test_an_error_of_5_percent_that_is_never_reached_is_beyond_the_last_acquisition(tmp_path):
+    folder = world(tmp_path, **{"dropout/bald": 20.0, "softmax/bald": 2.0})
+    (found,) = judge([STATEMENTS["AL2g"]], folder)  # 36 are printed
+    assert found.verdict == "differs"
+    assert found.measured.ours[:3] == (np.inf, 99.0, np.inf)
+    (found,) = judge([STATEMENTS["AL6c"]], folder)
+    assert found.verdict == "contradicted"
+    assert 0.8 < found.measured.ours.low < found.measured.ours.high == np.inf
 
 
 def test_a_minimum_is_that_of_three_curves():

@@ -23,6 +23,31 @@ def test_a_statement_is_judged_by_its_kind():
     assert [j.verdict for j in audits] == ["confirmed", "refuted"]
 
 
+def test_a_primary_statement_needs_20_repetitions_and_40_in_section_5_4():
+    judged = judge([statement("EX7", "less", primary=True), statement("DE7", "less", primary=True)])
+    assert [(j.plain, j.why) for j in judged] == [("supported", ""), ("untested", "20 of 40 repetitions")]
+    assert statement("DE7", "less").least == 5
+
+
+def test_what_is_never_reached_has_a_verdict_and_a_reason():
+    def censored(low, high=math.inf, value=math.inf):
+        difference = Estimate(value, low, high, low, high, 0.01, 20)
+        return Measured(difference, Interval(value, low, high, 20))
+
+    cases = [
+        ("value", censored(3.0), "differs", "only a lower limit"),
+        ("value", censored(-3.0), "imprecise", "only a lower limit"),
+        ("more", censored(3.0), "supported", "only a lower limit"),
+        ("less", censored(3.0), "contradicted", "only a lower limit"),
+        ("less", censored(-3.0), "inconclusive", "only a lower limit"),
+        ("equality", censored(3.0), "contradicted", "only a lower limit"),
+        ("value", censored(-3.0, value=1.0), "imprecise", "no upper limit"),
+    ]
+    for kind, measured, verdict, reason in cases:
+        (judged,) = judge([Statement("DE2c", "", "", kind, 0.5, "chapter", lambda _, m=measured: m)])
+        assert (judged.verdict, reason in judged.why) == (verdict, True), kind
+
+
 def test_primary_statements_pay_for_each_other_and_secondary_ones_do_not():
     family = [statement(name, "less", p, primary=True) for name, p in [("a", 0.01), ("b", 0.02), ("c", 0.03)]]
     judged = {j.statement.id: j for j in judge([*family, statement("d", "less", 0.04)])}

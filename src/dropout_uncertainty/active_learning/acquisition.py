@@ -143,7 +143,7 @@ class Selection:
 def select(scores: ArrayLike, count: int, generator: Generator) -> Selection:
     """Return the ``count`` highest of N scores, equal scores in random order; all of them if there are fewer.
 
-    A warning is given when every score is equal: the acquisition is then random (claim AL7).
+    A warning is given when every score is equal: the acquisition is then random (statement AL7).
 
     Raises:
         ValueError: if a score is NaN or infinite, if there is none, or if ``count`` < 1.

@@ -47,7 +47,7 @@ OURS = {
         ("greedy", NO_DROPOUT),
     )
 }
-#: Over-fitting (claim EX6): networks of the demo's and of four times its width, without and with the text's dropout.
+#: Over-fitting (EX6): networks of the demo's and of four times its width, without and with the text's dropout.
 #: All act ε-greedily on the network without dropout, so that only the dropout in learning distinguishes a pair.
 WIDE = {
     name: replace(

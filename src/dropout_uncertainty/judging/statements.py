@@ -149,8 +149,12 @@ class Judged:
             return statement.would_test or "no records yet"
         if self.plain == "untested":
             return f"{measured.difference.n} of {statement.least} repetitions"
+        if math.isinf(measured.ours.value):
+            return "not reached by the end of the runs, so that only a lower limit is known"
         if self.verdict in ("inconclusive", "imprecise"):
             half = (measured.difference.high - measured.difference.low) / 2
+            if math.isinf(half):
+                return "some runs do not reach it, so that there is no upper limit"
             return f"differences below {half:.2g} {statement.unit} could not be seen".replace("  ", " ").strip()
         return "small: within the margin" if self.small else ""
 

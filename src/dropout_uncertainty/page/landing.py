@@ -31,12 +31,12 @@ from dropout_uncertainty.exploration.report import analysis as exploration
 from dropout_uncertainty.exploration.report import animation
 from dropout_uncertainty.judging.collect import SECTIONS, STATEMENTS, collect
 from dropout_uncertainty.judging.results import Result, thesis_value
-from dropout_uncertainty.judging.statements import KINDS, Statement, StatementResult, judge
+from dropout_uncertainty.judging.statements import KINDS, Judged, Statement, StatementResult, judge
 from dropout_uncertainty.page.plotting import COLOURS
 from dropout_uncertainty.runs.records import Record, root
 from dropout_uncertainty.stats import Interval, t_interval
 
-__all__ = ["FACTS", "PICTURES", "SAID", "facts", "numbers", "readme", "tally", "write"]
+__all__ = ["FACTS", "PICTURES", "SAID", "USED", "facts", "numbers", "readme", "tally", "used", "write"]
 
 README, FOLDER = Path("README.md"), Path("book", "_static", "front")
 #: Where the numbers stand in the README.
@@ -111,7 +111,22 @@ EARLY, LATE = (3_000, 50_000), (90_500, 200_000)  # ticks
 
 def facts(folder: Path | None = None) -> dict[str, str]:
     """Return the numbers in the sentences of the first page, by the names that it uses; a dash without records."""
-    return {name: fact(folder) or "–" for name, fact in FACTS.items()}
+    return {name: fact(folder) or "–" for name, fact in FACTS.items()} | used(folder)
+
+
+def used(folder: Path | None = None) -> dict[str, str]:
+    """Return verdict and number of each statement of the page "What to use when", by ``use_`` and its id."""
+    found = {}
+    for letters in SECTIONS:
+        mine = [s for s in STATEMENTS.values() if s.id.startswith(letters) and (s.primary or s.id in USED)]
+        found |= {f"use_{j.statement.id}": _used(j) for j in judge(mine, folder) if j.statement.id in USED}
+    return found
+
+
+def _used(judged: Judged) -> str:
+    if judged.verdict == "untested":
+        return f"untested ({judged.why})"
+    return judged.verdict if judged.statement.kind == "audit" else f"{judged.verdict}, {_ours(judged.result())}"
 
 
 def _tied(folder: Path | None) -> str | None:
@@ -190,7 +205,7 @@ def _no_dropout(what: str, digits: int, folder: Path | None) -> str | None:
 
 
 def _doubt(folder: Path | None) -> str | None:
-    """Return how a step's part in PILCO's gradient goes with the doubt about it, as claim DE11 measures it."""
+    """Return how a step's part in PILCO's gradient goes with the doubt about it, as statement DE11a measures it."""
     learning = data_efficiency.load("pilco-paper", folder)
     return None if learning is None else _words(t_interval(data_efficiency.excess_on_predictable(learning)[0]))
 
@@ -207,6 +222,12 @@ def _verdict(identifier: str, folder: Path | None) -> str | None:
 
 #: The statements whose verdicts the sentences of the first page give.
 SAID = ("AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "EX3a", "EX3e", "EX4", "DE2d", "DE3h", "DE6b", "DE6c", "DE7b", "DE11a")
+#: The statements on which the lines of the page "What to use when" rest.
+USED = (
+    "AL3e", "AL3f", "AL3g", "AL4a", "AL4b", "AL5b", "AL5c", "AL5e", "AL5f", "AL7a", "AL7b", "AL9c", "AL11", "AL11i",
+    "AL11l", "EX2d", "EX5a", "EX5b", "EX6c", "EX7a", "EX7b", "EX9", "DE1a", "DE2d", "DE2g", "DE3h", "DE4a", "DE4d",
+    "DE5b", "DE5d", "DE6b", "DE6c", "DE7a", "DE7b", "DE7c", "DE8a", "DE8d", "DE9a", "DE9b", "DE13", "DE14a", "DE15",
+)  # fmt: skip
 #: The numbers by name; each is computed from the records of a folder.
 FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "tied": _tied,

@@ -313,7 +313,7 @@ def verdicts(folder, *names):
     [
         ([6, 6, 6, 7, 7, 7, 6, 7], ["supported", "agrees", "agrees"]),
         ([4] * 8, ["supported", "agrees", "agrees"]),  # two below the nearer end of 6 to 7, within the margin of 3
-        ([12] * 8, ["contradicted", "untested", "untested"]),  # not within the trials that were run
+        ([12] * 8, ["contradicted", "differs", "differs"]),  # not within the trials that were run
         ([3, 4], ["untested"] * 3),
     ],
 )

@@ -1,4 +1,4 @@
-"""From records to numbers, claims and curves of section 5.3."""
+"""From records to numbers, statements and curves of section 5.3."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -1,4 +1,4 @@
-"""From records to the numbers of Tables 5.1 and 5.2 and of claims AL1-AL9. Nothing is run and nothing is drawn here."""
+"""From records to the numbers of Tables 5.1 and 5.2 and of AL1-AL9. Nothing is run and nothing is drawn here."""
 
 import functools
 import math
@@ -166,7 +166,7 @@ def paired_error(first: Row, second: Row, acquired_from: int, acquired_to: int) 
 
 
 def share_tied(row: Row) -> float:
-    """Return the share of acquisition rounds in which every candidate had the same score (claim AL7)."""
+    """Return the share of acquisition rounds in which every candidate had the same score (statement AL7)."""
     return float(row.stack("all_tied").mean())
 
 

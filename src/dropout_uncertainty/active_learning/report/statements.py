@@ -56,8 +56,13 @@ def lowest(curves: Float[np.ndarray, "R T"]) -> Statistic:
 
 
 def crossing(curves: Float[np.ndarray, "R T"]) -> Statistic:
-    """Return the acquisitions until the mean curve is at 5 %; one more than there are if it never is."""
-    return lambda indices: np.minimum(first_crossings(curves[indices].mean(-2), THRESHOLD), curves.shape[1])
+    """Return the acquisitions until the mean curve is at 5 %; infinite if it never is."""
+    return lambda indices: first_crossings(curves[indices].mean(-2), THRESHOLD)
+
+
+def crossing_at_least(curves: Float[np.ndarray, "R T"]) -> Statistic:
+    """Return the same, but where it never is, the least that it can be: one more than there are."""
+    return lambda indices: np.minimum(crossing(curves)(indices), curves.shape[1])
 
 
 def cell(name: str, table: str, folder: Path | None) -> Measured | None:
@@ -65,15 +70,17 @@ def cell(name: str, table: str, folder: Path | None) -> Measured | None:
     row = load_rows("ours", folder).get(name)
     if row is None or len(row.error) < 3:
         return None
-    statistic = lowest if table == "table-5.1" else crossing
-    original = original_rows()[name].error
-    ours, theirs = statistic(row.error), statistic(original)
-    difference = bootstrap_estimate(lambda i, j: ours(i) - theirs(j), len(row.error), len(original))
+    least, most = (lowest, lowest) if table == "table-5.1" else (crossing_at_least, crossing)
+    error, original = row.error, original_rows()[name].error
+    difference = bootstrap_estimate(
+        lambda i, j: least(error)(i) - most(original)(j), len(error), len(original),
+        most=lambda i, j: most(error)(i) - least(original)(j),
+    )  # fmt: skip
     beside = {"last point": row.last} if table == "table-5.1" else {"after a median of five": row.crossing(width=5)}
     if script := load_rows("as-recorded", folder).get(name):
         beside["as its script ran it"] = script.minimum if table == "table-5.1" else script.crossing()
-    interval = bootstrap_estimate(ours, len(row.error)).interval
-    return Measured(difference._replace(n=len(row.error)), interval, row.records, beside)
+    ours = bootstrap_estimate(least(error), len(error), most=most(error)).interval
+    return Measured(difference._replace(n=len(error)), ours, row.records, beside)
 
 
 def of_table(identifier: str, table: str, name: str) -> Statement:
@@ -144,8 +151,10 @@ def ratio(score: str, folder: Path | None) -> Measured | None:
         return None
     seeds = [seed for seed in rows[names[0]].seeds if seed in rows[names[1]].seeds]
     first, second = (rows[n].error[[rows[n].seeds.index(seed) for seed in seeds]] for n in names)
-    ours, theirs = crossing(first), crossing(second)
-    difference = bootstrap_estimate(lambda i: ours(i) / theirs(i) - 0.8, len(seeds))
+    difference = bootstrap_estimate(
+        lambda i: crossing_at_least(first)(i) / crossing(second)(i) - 0.8, len(seeds),
+        most=lambda i: crossing(first)(i) / crossing_at_least(second)(i) - 0.8,
+    )  # fmt: skip
     found = [record for name in names for record in rows[name].records]
     return Measured(difference, shifted(difference.interval, 0.8), found)
 

@@ -1,4 +1,4 @@
-"""Time per trial of PILCO and Deep PILCO against transitions N, inputs Q and outputs D (claim DE8).
+"""Time per trial of PILCO and Deep PILCO against transitions N, inputs Q and outputs D (statement DE8).
 
 Transitions are synthetic, so that N, Q and D can be chosen. What is timed is what depends on them: fitting the
 dynamics model, and predicting a trial through it with the gradient that a policy's search needs. A linear map from

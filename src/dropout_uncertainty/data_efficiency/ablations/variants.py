@@ -1,4 +1,4 @@
-"""What matters in Deep PILCO: the learner `OURS` with one thing changed at a time (claims DE4 to DE7 and DE10).
+"""What matters in Deep PILCO: the learner `OURS` with one thing changed at a time (statements DE4 to DE7 and DE10).
 
 Every variant is one line of the table `VARIANTS`; all other choices, and all random numbers, are those of `OURS`, so
 that a variant and `OURS` pair up seed by seed. Beside them stand two measurements that change nothing: `mechanism`
@@ -37,7 +37,7 @@ BASE = VariantConfig(**{f.name: getattr(OURS, f.name) for f in fields(OURS)} | {
 
 @dataclass(frozen=True)
 class Variant:
-    """One change of `OURS`: the claim it serves, what it is in words, and the fields that change."""
+    """One change of `OURS`: the statements it serves, what it is in words, and the fields that change."""
 
     claim: str
     words: str

@@ -1,4 +1,4 @@
-"""From records to the numbers of Figures 5.7 and 5.8 and of their claims. Nothing is run and nothing is drawn here.
+"""From records to the numbers of Figures 5.7 and 5.8 and of their statements. Nothing is run and nothing is drawn here.
 
 PILCO's and Deep PILCO's records keep costs and predictions under the same names, so that one class reads both.
 """
@@ -24,7 +24,8 @@ from dropout_uncertainty.settings import config_diff
 from dropout_uncertainty.stats import CONFIDENCE, Interval, median_interval, t_interval
 
 __all__ = [
-    "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "check_quick_deep", "doubt_and_gradient",
+    "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "check_quick_deep", "cpu_seconds",
+    "doubt_and_gradient",
     "excess_on_predictable", "fitting_table", "from_arrays", "from_records", "load", "original", "repeats", "results",
     "run_time_table", "search_table", "share_interval", "share_solved", "solved_table", "steps_held",
     "steps_predicted", "time_table",
@@ -54,7 +55,7 @@ KEPT = 0.8
 TIMED = {"model": "model", "policy": "search for the controller", "trial": "trial of the plant"}
 #: Panels of Figure 5.8: trials of data that the model had seen.
 PANELS = (1, 10, 20, 26)
-#: Trials over which claim DE11 is judged: those before most repetitions are solved.
+#: Trials over which statement DE11 is judged: those before most repetitions are solved.
 LATER = (1, 2, 3, 4, 5)
 
 
@@ -205,7 +206,7 @@ def from_arrays(
 
 
 def doubt_and_gradient(learning: Learning, trial: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what claim DE11 compares, at the beginning of a trial's policy search; each [R, T].
+    """Return what statement DE11 compares, at the beginning of a trial's policy search; each [R, T].
 
     Predicted standard deviation of the pole's angle [rad]; share that each step has in the gradient (norms of the
     steps' gradients, which sum to 1); the same share had the model taken its mean for the truth.
@@ -217,7 +218,7 @@ def doubt_and_gradient(learning: Learning, trial: int) -> tuple[np.ndarray, np.n
 
 
 def excess_on_predictable(learning: Learning, trials: Sequence[int] = LATER) -> tuple[np.ndarray, np.ndarray]:
-    """Return two statistics of claim DE11 for each repetition, means over ``trials``; each [R].
+    """Return two statistics of statement DE11 for each repetition, means over ``trials``; each [R].
 
     First the rank correlation over steps of predicted doubt and of how much less a step counts than in a model
     without doubt (share of the gradient with doubt over that without); then the share of the gradient on the steps
@@ -416,6 +417,11 @@ def time_table(learning: Learning, trials: Sequence[int]) -> tuple[list[str], li
         runs = sum(n for _, n in origins)
         cells.append([trial, trial * learning.plant.steps, *(f"{s / runs:.2f}" for s in seconds)])
     return heads, cells
+
+
+def cpu_seconds(record: Record, trials: int) -> float:
+    """Return the CPU seconds of all repetitions of a record up to a controlled trial."""
+    return float(sum(sum(record.header["provenance"][f"{part}_cpu_s"][: trials + 1]) for part in TIMED))
 
 
 def _on_cpu(learning: Learning) -> list[Record]:

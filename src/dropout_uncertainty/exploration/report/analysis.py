@@ -1,4 +1,4 @@
-"""From records to the numbers of Figure 5.4 and of claims EX1-EX6. Nothing is run and nothing is drawn here."""
+"""From records to the numbers of Figure 5.4 and of statements EX1-EX6. Nothing is run and nothing is drawn here."""
 
 import functools
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ TARGET = 1.0
 BURN_IN = CONFIGS["as-demo"].burn_in
 #: Ranges of ticks, open below, over which curves are averaged to compare them with those of the original program.
 BLOCKS = ((3_000, 15_500), (15_500, 50_000), (50_000, 90_500), (90_500, 200_000))
-#: Ranges of ticks over which policies are compared (claim EX5).
+#: Ranges of ticks over which policies are compared (statement EX5).
 EARLY, LATE = (BURN_IN, 50_000), BLOCKS[-1]
 
 

@@ -88,13 +88,21 @@ def height(config: str, folder: Path | None) -> Measured | None:
     return Measured(above[500], shifted(above[500].interval, TARGET), found[0].records, beside)
 
 
+def beyond(curves: Curves) -> float:
+    """Return the least batch at which a run that has not reached a reward by the end of its curve can reach it."""
+    return float(batches(curves.ticks)[-1]) + 1
+
+
 def arrival(config: str, folder: Path | None) -> Measured | None:
     """Return the median batch at which ε-greedy reaches 1, less the printed one."""
     found = agents(config, folder, "epsilon-greedy")
     if found is None:
         return None
     when, claimed = batches(found[0].crossings()), CLAIMED["epsilon-greedy"]
-    late = bootstrap_estimate(lambda i: smaller_median(when[i]) - claimed, len(when))
+    least = np.minimum(when, beyond(found[0]))
+    late = bootstrap_estimate(
+        lambda i: smaller_median(least[i]) - claimed, len(when), most=lambda i: smaller_median(when[i]) - claimed
+    )
     beside = {"batches of 200 ticks": median(batches(found[0].crossings(), 200))}
     return Measured(late, shifted(late.interval, claimed), found[0].records, beside)
 
@@ -104,9 +112,13 @@ def quicker(claimed: float, folder: Path | None) -> Measured | None:
     found = agents("ours", folder, "thompson", "epsilon-greedy")
     if found is None:
         return None
-    fast, slow = (batches(curves.crossings()) for curves in paired(*found))
-
-    difference = bootstrap_estimate(lambda i: ratio(slow[i], fast[i]) - claimed, len(slow))
+    pair = paired(*found)
+    fast, slow = (batches(curves.crossings()) for curves in pair)
+    least_fast, least_slow = (np.minimum(when, beyond(x)) for when, x in zip((fast, slow), pair, strict=True))
+    difference = bootstrap_estimate(
+        lambda i: ratio(least_slow[i], fast[i]) - claimed, len(slow),
+        most=lambda i: ratio(slow[i], least_fast[i]) - claimed,
+    )  # fmt: skip
     beside = {}
     for words, config in (("one world", "as-demo"), ("dropout where the text has it", "as-written")):
         if together := agents(config, folder, "thompson", "epsilon-greedy"):

@@ -47,7 +47,7 @@ def learned(folder, name, config, first):
     write(folder, name, config, arrays | {"predicted_cost": arrays["costs"]}, runs=len(first))
 
 
-def looked(folder, *, holds=True):
+def looked(folder, *, holds=True, old=False):
     """Write a record of the mechanism in which the claims hold, or none of them does."""
     sign, shape = (1 if holds else -1), (RUNS, len(MECHANISM.measured))
     noise = 0.01 * rng.standard_normal((RUNS, *(1,) * 4))
@@ -65,12 +65,14 @@ def looked(folder, *, holds=True):
         "costs": costs([5] * RUNS, MECHANISM.trials), "predicted_cost": costs([5] * RUNS, MECHANISM.trials),
         "true_states": errors, "cloud_mean": np.zeros_like(std), "cloud_std": std, "cloud_valley": valley,
         "penalty": sign * valley[:, :, 1] + 0.1 * rng.standard_normal((*shape, STEPS)),
+        "diagonal_std": std[:, :, [list(CLOUDS).index(name) for name in ("held-free", "redrawn-free")]],
         "gradient_variance": scatter * np.exp(noise[..., 0]), "gradient_norm": np.ones_like(scatter),
         "objective": np.broadcast_to(0.5 + bias, (*shape, len(MATCHING), len(bias))) + noise[..., 0],
         "reached": np.array([reached[name] for name in OPTIMISERS]) + noise[..., 0, 0],
         "fresh": np.array([fresh[name] for name in OPTIMISERS]) + 2 * noise[..., 0, 0],
     }  # fmt: skip
-    small = {name: value.astype(np.float32) for name, value in arrays.items()}
+    arrays["penalty_diagonal"] = arrays["penalty"]
+    small = {name: value.astype(np.float32) for name, value in arrays.items() if not (old and "diagonal" in name)}
     write(folder, "what-matters/mechanism", MECHANISM, small)
 
 
@@ -258,3 +260,11 @@ def test_a_sensitive_hyper_parameter_has_a_statement_of_its_own(tmp_path):
 def test_few_repetitions_of_a_primary_statement_are_untested(tmp_path):
     (found,) = judge([STATEMENTS["DE4a"]], world(tmp_path))
     assert (found.verdict, found.why) == ("untested", f"{RUNS} of 40 repetitions")
+
+
+def test_matching_by_dimension_is_judged_where_records_hold_it(tmp_path):
+    for holds, verdict in ((True, "supported"), (False, "contradicted")):
+        looked(tmp_path / verdict, holds=holds)
+        assert [judge([STATEMENTS[name]], tmp_path / verdict)[0].verdict for name in ("DE4e", "DE6d")] == [verdict] * 2
+    looked(tmp_path / "old", old=True)
+    assert [judge([STATEMENTS[name]], tmp_path / "old")[0].verdict for name in ("DE4e", "DE6d")] == ["untested"] * 2

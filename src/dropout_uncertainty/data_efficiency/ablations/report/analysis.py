@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats as scipy_stats
 
-from dropout_uncertainty.data_efficiency.ablations.probes import CLOUDS, OPTIMISERS, PARTED, Mechanism
+from dropout_uncertainty.data_efficiency.ablations.probes import CLOUDS, DIAGONAL, OPTIMISERS, PARTED, Mechanism
 from dropout_uncertainty.data_efficiency.ablations.scaling import AXES, METHODS, Scaling, ScalingConfig
 from dropout_uncertainty.data_efficiency.ablations.variants import FAMILY, TRIALS, VARIANTS
 from dropout_uncertainty.data_efficiency.deep_pilco.particles import MATCHING
@@ -154,7 +154,8 @@ class Inside:
 
     def std(self, cloud: str) -> Float[np.ndarray, "R M T 4"]:
         """Return the predicted standard deviation of each state at times 1 ... T, before matching."""
-        return self.arrays["cloud_std"][:, :, _place(cloud, CLOUDS)].astype(float)
+        name, clouds = ("diagonal_std", DIAGONAL) if cloud in DIAGONAL else ("cloud_std", CLOUDS)
+        return self.arrays[name][:, :, _place(cloud, clouds)].astype(float)
 
     def covered(self, cloud: str) -> Bool[np.ndarray, "R M T 4"]:
         """Return whether the true state was within two standard deviations of the predicted mean."""
@@ -177,7 +178,11 @@ class Inside:
     @property
     def penalty_correlation(self) -> Float[np.ndarray, " R"]:
         """Rank correlation, over trials and steps, of how far free particles part and what a Gaussian adds to cost."""
-        depth, penalty = self.arrays["cloud_valley"][:, :, _place("held-free", CLOUDS)], self.arrays["penalty"]
+        return self.correlation_with("penalty")
+
+    def correlation_with(self, name: str) -> Float[np.ndarray, " R"]:
+        """Return the same of "penalty" or, a Gaussian for each dimension by itself, "penalty_diagonal"."""
+        depth, penalty = self.arrays["cloud_valley"][:, :, _place("held-free", CLOUDS)], self.arrays[name]
         return np.array([_rank_correlation(d.ravel(), p.ravel()) for d, p in zip(depth, penalty, strict=True)])
 
     def gradient_variance(self, matching: str) -> Float[np.ndarray, "R M H"]:

@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 DARK = "#333333"
-#: Claims in the forest plot, in the order of the table.
+#: Statements in the forest plot, in the order of the table.
 CLAIM_COLOURS = {"DE4": "#0072B2", "DE5": "#D55E00", "DE6": "#009E73", "DE7": "#882255", "DE10": "#6c6c6c"}
 CLOUD_STYLES = {
     "held-free": ("masks held, no matching", "#0072B2", "-"),
