@@ -1,7 +1,8 @@
 """The look of the book's figures: one style, one colour per method everywhere, mean and band."""
 
 import contextlib
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -12,7 +13,7 @@ from matplotlib.axes import Axes
 
 from dropout_uncertainty.stats import t_interval
 
-__all__ = ["COLOURS", "SMALL", "WIDTH", "band", "legend_above", "style", "use_style"]
+__all__ = ["COLOURS", "SMALL", "WIDTH", "band", "legend_above", "missing", "style", "use_style"]
 
 #: Width of the widest figures [inches]: at 96 dots per inch the column of text on a screen of 1300 pixels. The page
 #: would shrink wider ones, and their letters with them.
@@ -102,3 +103,11 @@ def band(ax: Axes, x: np.ndarray, curves: Float[np.ndarray, "R T"], *, colour: s
     else:
         limits = np.array([t_interval(column)[1:3] for column in curves.T])
         ax.fill_between(x, limits[:, 0], limits[:, 1], color=colour, alpha=0.18, linewidth=0)
+
+
+def missing(ax: Axes, names: Sequence[str]) -> None:
+    """Say above a picture which of the things that belong in it have not been run."""
+    if names:
+        letters = int(14 * ax.get_window_extent().width / ax.figure.dpi)  # that fit in a line
+        words = textwrap.fill(f"Not run yet: {'; '.join(names)}", letters)
+        ax.set_title(words, loc="left", fontsize=SMALL, color="#6c6c6c")

@@ -9,10 +9,13 @@ from matplotlib.axes import Axes
 from dropout_uncertainty.exploration.report import two_by_two
 from dropout_uncertainty.exploration.report.analysis import BLOCK, BURN_IN, TARGET, Agents, Curves, batches
 from dropout_uncertainty.judging.results import thesis_value
-from dropout_uncertainty.page.plotting import COLOURS, SMALL, band
+from dropout_uncertainty.page.plotting import COLOURS, SMALL, band, missing
 from dropout_uncertainty.stats import t_interval
 
-__all__ = ["curves_of_cells", "figure_5_4", "habits", "held_draws", "held_out_errors", "interaction", "learning_curves"]
+__all__ = [
+    "contrasts", "curves_of_cells", "figure_5_4", "habits", "held_draws", "held_out_errors", "interaction",
+    "learning_curves", "masks_off",
+]  # fmt: skip
 
 
 def learning_curves(ax: Axes, agents: Mapping[str, Curves], *, original: Mapping[str, Curves] | None = None) -> Axes:
@@ -123,25 +126,49 @@ def interaction(ax: Axes, cells: Mapping[str, Curves]) -> Axes:
         ax.errorbar(place, found[:, 0], errors, color=colour, marker="o", capsize=4, label=label)
     ax.set(xlim=(-0.4, 1.4), ylabel="reward per move")
     ax.set_xticks((0, 1), ("acts on the mean", "acts on a draw"))
-    ax.legend()
+    ax.legend(loc="upper right")
+    missing(ax, [two_by_two.LABELS[name] for name in two_by_two.SQUARE if name not in cells])
+    return ax
+
+
+def contrasts(ax: Axes, cells: Mapping[str, Curves]) -> Axes:
+    """Draw the differences between agents with 95 % intervals and single seeds; the grey strip is the margin."""
+    ax.axvspan(-two_by_two.MARGIN, two_by_two.MARGIN, color="#eeeeee")
+    ax.axvline(0, color="black", linewidth=0.8)
+    for height, contrast in enumerate(two_by_two.CONTRASTS.values()):
+        found = two_by_two.interval(cells, contrast)
+        if found is None:
+            words, across = two_by_two.missing(cells, contrast), ax.get_yaxis_transform()
+            ax.text(0.98, height, words, ha="right", va="center", transform=across, fontsize=SMALL, color="#6c6c6c")
+            continue
+        seeds = two_by_two.differences(cells, contrast)
+        ax.plot(seeds, np.full(len(seeds), height), "|", color=COLOURS["thompson"], alpha=0.35)
+        ax.plot([found.low, found.high], [height, height], color=COLOURS["thompson"])
+        ax.plot(found.value, height, "o", color=COLOURS["thompson"])
+    ax.set_yticks(range(len(two_by_two.CONTRASTS)), [contrast.text for contrast in two_by_two.CONTRASTS.values()])
+    ax.set(ylim=(len(two_by_two.CONTRASTS) - 0.5, -0.5), xlabel="difference in reward per move")
     return ax
 
 
 def held_draws(ax: Axes, cells: Mapping[str, Curves]) -> Axes:
     """Draw the mean reward against the ticks for which a draw is held; grey: the agent that acts on the mean."""
-    held = {
-        ticks: cells[name].mean(*two_by_two.EARLY, "reward") for ticks, name in two_by_two.HELD.items() if name in cells
-    }
+    held = {ticks: cells[name] for ticks, name in two_by_two.HELD.items() if name in cells}
     if held:
-        band(ax, np.array(list(held)), np.stack(list(held.values()), axis=1), colour=COLOURS["thompson"],
-             label="acts on a draw", marker="o")  # fmt: skip
+        found = np.array([t_interval(curves.mean(*two_by_two.EARLY, "reward"))[:3] for curves in held.values()])
+        errors = np.abs(found[:, 1:] - found[:, :1]).T
+        ax.errorbar(list(held), found[:, 0], errors, color=COLOURS["thompson"], marker="o", capsize=4,
+                    label="acts on a draw")  # fmt: skip
     if "dropout-mean" in cells:
         value, low, high, _ = t_interval(cells["dropout-mean"].mean(*two_by_two.EARLY, "reward"))
         ax.axhline(value, color=COLOURS["greedy"], label="acts on the mean")
         ax.axhspan(low, high, color=COLOURS["greedy"], alpha=0.18, linewidth=0)
     ax.set(xscale="log", xlabel="ticks for which a draw is held", ylabel="reward per move")
-    ax.xaxis.set_major_formatter("{x:g}")
-    ax.legend()
+    ax.xaxis.set_major_formatter("{x:,g}")
+    ax.set_xlim(0.7, 1400)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(loc="lower left")
+    absent = [name for name in (*two_by_two.HELD.values(), "dropout-mean") if name not in cells]
+    missing(ax, [two_by_two.LABELS[name] for name in absent])
     return ax
 
 
@@ -155,5 +182,16 @@ def curves_of_cells(ax: Axes, cells: Mapping[str, Curves], names: Sequence[str],
             band(ax, np.mean(ranges, axis=1), rewards, colour=CELL_COLOURS[name], label=two_by_two.LABELS[name])
     ax.set(xlabel="ticks", ylabel="reward per move")
     ax.xaxis.set_major_formatter("{x:,.0f}")
-    ax.legend()
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(loc="lower right")
+    missing(ax, [two_by_two.LABELS[name] for name in names if name not in cells])
+    return ax
+
+
+def masks_off(ax: Axes, cells: Mapping[str, Curves]) -> Axes:
+    """Draw what becomes of the thesis's agent when its masks are switched off while it acts, beside ε-greedy."""
+    curves_of_cells(ax, cells, ("dropout-draw", "masks-off-late", "epsilon-greedy"))
+    switched = two_by_two.LATE[0]
+    if any(curves.ticks[-1] > switched for curves in cells.values()):
+        ax.axvline(switched, color="#888888", linewidth=0.8)
     return ax

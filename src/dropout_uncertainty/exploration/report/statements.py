@@ -26,7 +26,7 @@ from dropout_uncertainty.exploration.report.analysis import (
     paired,
     ratio,
 )
-from dropout_uncertainty.exploration.report.deep_sea import analysis as deep_sea
+from dropout_uncertainty.exploration.report.deep_sea import dives as deep_sea
 from dropout_uncertainty.judging.results import printed
 from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, nothing, shifted
 from dropout_uncertainty.stats import (

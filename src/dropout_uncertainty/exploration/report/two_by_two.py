@@ -4,6 +4,7 @@ Every comparison is a contrast: a weighted sum of the mean rewards of some agent
 that all of them have. The contrasts and their ranges were fixed before the published seeds were run.
 """
 
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +12,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from dropout_uncertainty.exploration.experiment import TWO_BY_TWO
+from dropout_uncertainty.exploration.experiment import TWO_BY_TWO, units
 from dropout_uncertainty.exploration.report import analysis
 from dropout_uncertainty.exploration.report.analysis import EARLY, Curves
 from dropout_uncertainty.judging.results import Result, measured
+from dropout_uncertainty.runs import execute, executors, records
 from dropout_uncertainty.stats import Interval, t_interval
 
 __all__ = [
-    "CONTRASTS", "HELD", "LABELS", "LATE", "MARGIN", "Cells", "Contrast", "cell_table", "contrast_table", "differences",
-    "interval", "load", "results",
+    "CONTRASTS", "HELD", "LABELS", "LATE", "MARGIN", "SQUARE", "Cells", "Contrast", "cell_table", "changes",
+    "contrast_table", "differences", "interval", "load", "missing", "obtain", "results",
 ]  # fmt: skip
 
 FAMILY = "two-by-two"
@@ -38,6 +40,8 @@ LABELS: dict[str, str] = {
     "epsilon-greedy": "ε-greedy",
     "epsilon-greedy-short": "ε-greedy, schedule ten times shorter",
 }
+#: Those of the square, which stands at the start.
+SQUARE = ("dropout-draw", "dropout-mean", "plain-draw", "plain-mean")
 #: Agents by the ticks for which they hold a draw.
 HELD = {1: "dropout-draw", 10: "hold-10", 100: "hold-100", 1000: "hold-1000"}
 #: Ticks in which one agent's masks are off, and the last ones, when ε has come to its floor.
@@ -99,6 +103,19 @@ def load(folder: Path | None = None, *, quick: bool = False) -> Cells:
     return cells
 
 
+def obtain(profile: str) -> Cells:
+    """Return the agents that a profile shows: recorded, short runs computed now, or recorded and what is missing."""
+    if profile == "recorded":
+        return load()
+    quick = profile == "quick"
+    prefix, seeds = ("quick/", range(100, 103)) if quick else ("", range(20))
+    work = [unit for name in TWO_BY_TWO for unit in units(prefix + name, seeds)]
+    with tempfile.TemporaryDirectory() as made, executors.processes() as executor:
+        folder = Path(made) if quick else None
+        execute.run(work, executor=executor, folder=folder)
+        return load(folder, quick=quick)
+
+
 def differences(cells: Mapping[str, Curves], contrast: Contrast) -> Float[np.ndarray, " R"]:
     """Return the contrast for each seed that all of its agents have, in order of the seeds.
 
@@ -148,6 +165,16 @@ def _records(*agents: Curves) -> list:
 
 
 # ------------------------------------------------------------------ tables
+
+
+def changes() -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: what each agent does that the thesis's does not, from the configs."""
+    base, lines = TWO_BY_TWO[f"{FAMILY}/dropout-draw"], list[list[object]]()
+    for name, config in TWO_BY_TWO.items():
+        own = records.config_diff(base.agents[0], config.agents[0])
+        shared = [line for line in records.config_diff(base, config) if line[0] != "agents"]
+        lines += [[LABELS[name.removeprefix(f"{FAMILY}/")], *line] for line in [*own, *shared]]
+    return ["agent", "field", "agent of the thesis", "here"], lines
 
 
 def cell_table(cells: Mapping[str, Curves]) -> tuple[list[str], list[list[object]]]:
