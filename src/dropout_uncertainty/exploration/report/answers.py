@@ -18,17 +18,9 @@ from dropout_uncertainty.judging.statements import Judged, judge
 from dropout_uncertainty.stats import Estimate
 
 __all__ = [
-    "COMPARED",
-    "READINGS",
-    "Compared",
-    "answer",
-    "beside_a_coin",
-    "exploration",
-    "found",
-    "judged",
-    "sentence",
+    "COMPARED", "READINGS", "Compared", "answer", "beside_a_coin", "exploration", "found", "judged", "sentence",
     "sentences",
-]
+]  # fmt: skip
 
 
 class Compared(NamedTuple):
@@ -134,7 +126,7 @@ READINGS: dict[str, dict[Verdict, str]] = {
         "untested": "So the footnote's reason stays open.",
     },
     "EX9": {
-        "supported": "So a draw of dropout that is held explores where ε-greedy does not.",
+        "supported": "So a draw of dropout that is held explores better than ε-greedy.",
         "contradicted": "So holding a draw is not enough: it matters what is drawn.",
         "no difference": "So a held draw of dropout explores as well as ε-greedy, and no better.",
         "inconclusive": "So these runs leave open whether a held draw of dropout explores better than ε-greedy.",
@@ -157,17 +149,17 @@ def exploration(all_judged: Mapping[str, Judged], dives: Seas) -> str:
     return " ".join(filter(None, parts))
 
 
-def beside_a_coin(dives: Seas, agent: str = "dropout-per-episode", size: int = sea.SIZE) -> str:
-    """Return how often an agent finds the treasure and how often a coin at every move would; empty without runs."""
-    if (agent, size) not in dives:
+def beside_a_coin(dives: Seas, size: int = sea.SIZE) -> str:
+    """Return how often held draws of dropout find the treasure, and how often a coin would; empty without runs."""
+    if ("dropout-per-episode", size) not in dives:
         return ""
-    value, low, high, n = share_interval(dives[agent, size].found <= HORIZON)
+    value, low, high, n = share_interval(dives["dropout-per-episode", size].found <= HORIZON)
     coin = sea.coin(size)
     ends = f"{100 * low:.0f} to {100 * high:.0f}"
     side = "more than" if low > coin else "fewer than" if high < coin else "which holds"
     return (
-        f"It finds the treasure within {HORIZON:,} episodes in {100 * value:.0f} % of {n} seas (95 % interval {ends}), "
-        f"{side} the {100 * coin:.0f} % in which a coin at every move would."
+        f"Held for an episode, draws of dropout find the treasure within {HORIZON:,} episodes in {100 * value:.0f} % "
+        f"of {n} seas (95 % interval {ends}), {side} the {100 * coin:.0f} % in which a coin at every move would."
     )
 
 
@@ -177,11 +169,8 @@ def _ensemble(dives: Seas, other: str, size: int = sea.SIZE) -> tuple[Estimate |
     if not {("ensemble-priors", size), (other, size)} <= dives.keys():
         return None, f"{name} not run yet."
     difference, words = sea.difference(dives["ensemble-priors", size], dives[other, size]), WORDS["share"]
-    ahead = (
-        words.more
-        if difference.low > 0
-        else words.less
-        if difference.high < 0
-        else "solves neither visibly more seas nor fewer"
-    )
+    if difference.low <= 0 <= difference.high:
+        ahead = "solves neither visibly more seas nor fewer"
+    else:
+        ahead = words.more if difference.value > 0 else words.less
     return difference, f"{name} it {ahead} ({number(difference, words)})."

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dropout_uncertainty.exploration.deep_sea.experiment import AGENTS
+from dropout_uncertainty.exploration.deep_sea.experiment import AGENTS, CONFIGS
 from dropout_uncertainty.exploration.report.deep_sea.dives import (
     FAMILY,
     HORIZON,
@@ -74,7 +74,7 @@ def results(folder: Path | None = None) -> list[Result]:
 def _of_size(d: Dives) -> Iterator[Result]:
     """Return the numbers of one agent in seas of one size."""
     result = partial(measured, found=d.records, config=d.config)
-    seas, run = f"{FAMILY}/{d.agent}/{d.size}", int(d.last.max())
+    seas, run = f"{FAMILY}/{d.agent}/{d.size}", CONFIGS[d.config].episodes
     yield result(
         f"{seas}/solved-by-{HORIZON}", d.share(), unit="share",
         statistic=f"share of seas solved within {HORIZON} episodes",
@@ -85,7 +85,7 @@ def _of_size(d: Dives) -> Iterator[Result]:
     )  # fmt: skip
     yield result(
         f"{seas}/share-solved", share_interval(np.isfinite(d.solved)), unit="share",
-        statistic=f"share of seas solved in runs of up to {run} episodes",
+        statistic=f"share of seas solved within {run} episodes",
     )  # fmt: skip
     yield result(
         f"{seas}/episodes-to-solve", d.median(), unit="episodes",
