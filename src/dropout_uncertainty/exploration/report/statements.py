@@ -280,7 +280,7 @@ STATEMENTS: list[Statement] = [
            "more", MARGIN_SHARE, random_moves, "share"),
     Statement("EX3e", "ε-greedy only exploits after 1000 batches.", FOOTNOTE, "audit", 0.0, CHAPTER, only_exploits),
     Statement("EX4", "In the published program dropout stands before every weight layer.",
-              "Section 5.3, third paragraph", "audit", 0.0, CHAPTER, everywhere),
+              "Section 5.3, fourth paragraph", "audit", 0.0, CHAPTER, everywhere),
     *(
         stated(f"EX5{letter}", f"{words} earns more than Thompson sampling, {when}.", REMARK, "more", MARGIN,
                partial(reward, policy, "thompson", ticks))
@@ -291,12 +291,12 @@ STATEMENTS: list[Statement] = [
             ("d", "Annealed Thompson sampling", "annealed-thompson", "late", LATE),
         )
     ),
-    stated("EX6a", "The wide network over-fits more than the narrow one.", "Section 5.3, third paragraph", "more",
+    stated("EX6a", "The wide network over-fits more than the narrow one.", "Section 5.3, fourth paragraph", "more",
            MARGIN_TD, partial(widths, held_out_gap, "wide", "narrow"), "squared TD error"),
     stated("EX6b", "Dropout lowers the over-fitting of the wide network.", "Section 5.3, second paragraph", "less",
            MARGIN_TD, partial(widths, held_out_gap, "wide-dropout", "wide"), "squared TD error"),
     stated("EX6c", "The wide network with dropout earns more than the narrow one without.",
-           "Section 5.3, third paragraph", "more", MARGIN,
+           "Section 5.3, fourth paragraph", "more", MARGIN,
            partial(widths, lambda c: c.later("reward"), "wide-dropout", "narrow")),
     cut("EX7a", "An agent that acts on a draw of its weights earns more than one that acts on their mean.", TEXT,
         "dropout-draw", "dropout-mean", primary=True),

@@ -151,8 +151,8 @@ STATEMENTS: list[Statement] = [
            unit="cost per step"),
     stated("DE5b", "Fixed particles with BFGS end at a higher objective than fresh ones with Adam.", FRESH, "more",
            MARGIN_COST, partial(seen, lambda x: x.behind("fixed-bfgs")), unit="cost per step"),
-    stated("DE5c", "With PILCO's own Gaussian process, fixed particles with BFGS make learning dearer than fresh ones "
-           "with Adam, both unmatched.", FRESH, "more", MARGIN_COST,
+    stated("DE5c", "With PILCO's own Gaussian process, learning on fixed particles with BFGS costs more than on fresh "
+           "ones with Adam, both unmatched.", FRESH, "more", MARGIN_COST,
            partial(of_configs, ("mchutchon/fixed-bfgs-off",), "mchutchon/fresh-adam-off", 15), unit="cost per step",
            would_test="particles through PILCO's model, fixed with BFGS and fresh with Adam"),
     stated("DE5d", "A search on fixed particles promises less cost than fresh ones have.", FRESH, "more", MARGIN_COST,
