@@ -100,7 +100,7 @@ def main():
     print(f"scoring {points} points x {DRAWS} draws: {ours:.2f} s")
     run = sum(cost[400] / 400 * labels for labels in range(20, 1001, 10)) + 99 * test + 98 * ours * 2_000 / points
     print(f"a run of 98 rounds, from these: {run / 60:.1f} min")
-    images = learner.images[candidates[0]]
+    images = learner.images[0][candidates[0]]
     for name, make in (("baal", with_baal), ("batchbald_redux", with_batchbald)):
         print(beside(name, make, images, ours))
     print(f"parameters: {sum(p.numel() for p in BayesianCNN([100]).parameters()):,}")
