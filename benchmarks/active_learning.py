@@ -70,13 +70,21 @@ def with_batchbald(images):
     return score
 
 
+def advice(reason):
+    """Return what to do about the failure of a peer."""
+    if "torchvision::" in reason:
+        vision = importlib.metadata.version("torchvision")
+        return f"torchvision {vision} is not built for torch {torch.__version__}: install both from one place"
+    return "pip install -e '.[bench]' installs a set that works"
+
+
 def beside(name, make, images, ours):
     """Return a line on the time of a peer, or on why there is none."""
     try:
         peer = seconds(make(images), 1)
     except Exception as error:  # whatever it is, the others are still to be timed
         reason = str(error).strip().splitlines()[0] if str(error).strip() else "no message"
-        return f"{name}: {type(error).__name__}: {reason}; pip install -e '.[bench]' installs a set that works"
+        return f"{name}: {type(error).__name__}: {reason}; {advice(reason)}"
     return f"{name} {importlib.metadata.version(name)}, float32: {peer:.1f} s, {peer / ours:.0f} times ours"
 
 

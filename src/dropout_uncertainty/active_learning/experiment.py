@@ -253,7 +253,7 @@ class CNNLearner:
         precision: str = "float32",
         data: mnist.Mnist | Sequence[mnist.Mnist] | None = None,
     ) -> None:
-        self.config, self.seeds, self.path = config, rng.check_seeds(seeds), path
+        self.config, self.seeds, self.path = of_type(Config, config, "config"), rng.check_seeds(seeds), path
         self.device = torch.device(device)
         self.compute = precision_dtype(precision)
         data = data or mnist.load()
@@ -346,7 +346,7 @@ class ActiveLearning:
     def __init__(
         self, config: Config, seeds: Sequence[int], *, device: str, precision: str, data: mnist.Mnist | None = None
     ) -> None:
-        self.config, self.seeds = config, rng.check_seeds(seeds)
+        self.config, self.seeds = of_type(Config, config, "config"), rng.check_seeds(seeds)
         self.tasks = [task_of(config, seed, data or mnist.load()) for seed in self.seeds]
         options: dict[str, Any] = {"device": device, "precision": precision, "data": [task.data for task in self.tasks]}
         self.learner: CNNLearner | Ensemble = CNNLearner(config, self.seeds, **options)
