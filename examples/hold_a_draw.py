@@ -1,7 +1,4 @@
-"""An agent in a Gymnasium environment that draws its weights at the start of an episode and holds them to its end.
-
-python examples/hold_a_draw.py CartPole-v1 300   # any environment with a row of numbers to see and a few actions
-"""
+"""An agent that holds a draw of its weights for an episode: python examples/hold_a_draw.py CartPole-v1 300."""
 
 import random
 import sys
@@ -21,7 +18,7 @@ for episode in range(episodes):
         after, reward, terminated, truncated, _ = env.step(action)
         memory.append((seen, action, reward, after, terminated))
         seen, ended, total, step = after, terminated or truncated, total + reward, step + 1
-        batch = zip(*(chance.choice(memory) for _ in range(64)), strict=True)
+        batch = zip(*chance.choices(memory, k=64), strict=True)
         s, a, r, t, over = (torch.stack([torch.as_tensor(v, dtype=torch.float32) for v in column]) for column in batch)
         target = r + 0.98 * (1 - over) * q(t[None])[0].amax(-1).detach()  # by the mean weights
         loss = (q(s[None], q.draw(64, "learn", step))[0].gather(1, a.long()[:, None])[:, 0] - target).square().mean()

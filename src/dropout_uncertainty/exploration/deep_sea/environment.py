@@ -55,7 +55,7 @@ class DeepSeaEnv(gymnasium.Env):
         self.ready = True
         return self._observe(), {"found": False}
 
-    def step(self, action: int | np.integer) -> tuple[np.ndarray, float, bool, bool, dict]:
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Make one move.
 
         Raises:

@@ -52,7 +52,7 @@ class ForagingWorld(gymnasium.Env):
         self.world = World(self.np_random.random((1, w.ITEMS, 3)), rules=self.rules)
         return self._observe(self.world), {"food": 0, "poison": 0, "blocked": False}
 
-    def step(self, action: int | np.integer) -> tuple[np.ndarray, float, bool, bool, dict]:
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Make one move.
 
         Raises:
