@@ -70,13 +70,21 @@ def with_batchbald(images):
     return score
 
 
+def advice(reason):
+    """Return what to do about the failure of a peer."""
+    if "torchvision::" in reason:
+        vision = importlib.metadata.version("torchvision")
+        return f"torchvision {vision} is not built for torch {torch.__version__}: install both from one place"
+    return "pip install -e '.[bench]' installs a set that works"
+
+
 def beside(name, make, images, ours):
     """Return a line on the time of a peer, or on why there is none."""
     try:
         peer = seconds(make(images), 1)
     except Exception as error:  # whatever it is, the others are still to be timed
         reason = str(error).strip().splitlines()[0] if str(error).strip() else "no message"
-        return f"{name}: {type(error).__name__}: {reason}; pip install -e '.[bench]' installs a set that works"
+        return f"{name}: {type(error).__name__}: {reason}; {advice(reason)}"
     return f"{name} {importlib.metadata.version(name)}, float32: {peer:.1f} s, {peer / ours:.0f} times ours"
 
 
@@ -100,7 +108,7 @@ def main():
     print(f"scoring {points} points x {DRAWS} draws: {ours:.2f} s")
     run = sum(cost[400] / 400 * labels for labels in range(20, 1001, 10)) + 99 * test + 98 * ours * 2_000 / points
     print(f"a run of 98 rounds, from these: {run / 60:.1f} min")
-    images = learner.images[candidates[0]]
+    images = learner.images[0][candidates[0]]
     for name, make in (("baal", with_baal), ("batchbald_redux", with_batchbald)):
         print(beside(name, make, images, ours))
     print(f"parameters: {sum(p.numel() for p in BayesianCNN([100]).parameters()):,}")

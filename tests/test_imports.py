@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "src" / "dropout_uncertainty"
-FOR_READERS = {"page", "figures", "animation", "drawing", "environment"}
+FOR_READERS = {"page", "chapter", "toys", "answers", "figures", "animation", "drawing", "environment"}
 UNWANTED = ["matplotlib", "IPython", "ipykernel", "papermill", "nbformat", "sphinx", "markdown_it", "pandas"]
 
 

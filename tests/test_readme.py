@@ -4,6 +4,10 @@ import re
 from pathlib import Path
 
 import pytest
+from sklearn.datasets import load_digits
+from sklearn.linear_model import LogisticRegression
+
+from dropout_uncertainty.active_learning import EnsembleLearner, SklearnLearner, simulate
 
 TEXT = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 SNIPPETS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
@@ -30,6 +34,16 @@ def test_an_example_runs_when_pasted(word, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == (7 if word == "exploration" else 2)
     assert re.fullmatch(last, lines[-1])
+
+
+def test_bald_over_a_bootstrap_of_logistic_regressions_is_worse_than_random_on_the_digits():
+    data = load_digits()
+    error = {}
+    for acquisition in ("bald", "random", "margin"):
+        learner = EnsembleLearner(SklearnLearner(LogisticRegression(max_iter=300)), 5, bootstrap=True)
+        options = {"acquisition": acquisition, "rounds": 10, "seed": 100, "progress": False}
+        error[acquisition] = simulate(learner, data.images / 16, data.target, **options).error.mean()
+    assert error["bald"] > error["random"] + 3 > error["random"] > error["margin"] + 1
 
 
 def test_every_example_is_tried():

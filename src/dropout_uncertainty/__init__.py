@@ -2,11 +2,13 @@
 
 from typing import Any
 
+from dropout_uncertainty.environments import announce
 from dropout_uncertainty.folders import resolve
 
 __all__ = ["__version__"]
 
 resolve()
+announce()
 
 
 def __getattr__(name: str) -> Any:

@@ -62,7 +62,7 @@ def common(
 
 @app.command()
 def book(
-    profile: Annotated[str, typer.Option(help="recorded, quick or full")] = "recorded",
+    profile: Annotated[str | None, typer.Option(help="recorded (the default), quick or full")] = None,
     skip_run: Annotated[bool, typer.Option(help="build from the notebooks as last run")] = False,
 ) -> None:
     """Run all notebooks and build the HTML book."""

@@ -1,4 +1,4 @@
-"""Settings made plain, so that equal configs have equal hashes; what is not of the type its field names is refused.
+"""Settings made plain, so that equal configs have equal hashes; what is of another type or does nothing is refused.
 
 The hash of a config is part of what its records are known by, so what it is taken of must not change.
 """
@@ -7,14 +7,16 @@ import hashlib
 import json
 import math
 import operator
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-__all__ = ["config_dict", "config_diff", "config_hash", "tidy"]
+__all__ = ["config_dict", "config_diff", "config_hash", "idle", "of_type", "tidy"]
+
+T = TypeVar("T")
 
 #: Equal to no value of a config.
 _NEVER = object()
@@ -34,6 +36,23 @@ def tidy(config: Any) -> None:
         object.__setattr__(config, field.name, _tidied(getattr(config, field.name), hints[field.name], field.name))
 
 
+def of_type(kind: type[T], value: Any, name: str) -> T:
+    """Return the value; raises ValueError if it is of another type than ``kind``."""
+    if not isinstance(value, kind):
+        make = f", make one by {kind.__name__}(...) or dataclasses.replace" if is_dataclass(kind) else ""
+        raise ValueError(f"{name} must be of type {kind.__name__}, got {value!r}{make}")
+    return value
+
+
+def idle(config: Any, names: Iterable[str], why: str) -> None:
+    """Raise ValueError if one of these settings of a dataclass, which do nothing because of ``why``, was set."""
+    for field in fields(config):
+        value = getattr(config, field.name)
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        if field.name in names and value != default:
+            raise ValueError(f"{field.name} does nothing here: {why}; leave it at {default!r}, got {value!r}")
+
+
 def _tidied(value: Any, kind: Any, name: str) -> Any:
     value = value.tolist() if isinstance(value, np.generic | np.ndarray) else value
     arguments = get_args(kind)
@@ -47,9 +66,7 @@ def _tidied(value: Any, kind: Any, name: str) -> Any:
         return _whole(value, name)
     if kind is float:
         return _finite(value, name)
-    if isinstance(kind, type) and not isinstance(value, kind):
-        raise ValueError(f"{name} must be of type {kind.__name__}, got {value!r}")
-    return value
+    return of_type(kind, value, name) if isinstance(kind, type) else value
 
 
 def _whole(value: Any, name: str) -> int:

@@ -87,7 +87,7 @@ def test_bad_predictions_are_refused():
         score("bald", [[["a"]]])
     with pytest.raises(ValueError, match=r"\[S, N, C\]"):
         score("bald", torch.zeros(3, 0, 4))
-    with pytest.raises(ValueError, match="unknown acquisition function 'entropy', choose one of random"):
+    with pytest.raises(ValueError, match="unknown acquisition function 'entropy', choose one of max-entropy"):
         score("entropy", torch.zeros(1, 1, 1))
 
 

@@ -84,8 +84,8 @@ def test_resumed_equals_uninterrupted(process, row):
     [
         ({"subset": 2}, [20, 22, 24, 26], "the subset has 2 candidates, asked for 3"),
         ({"subset": 2, "acquisition": "random"}, [20, 23, 26, 29], None),
-        ({"random_from": 5}, [20, 23, 25], "only 2 points are left in the pool, asked for 3"),
-        ({"random_from": 2, "replacement": True}, [20, 22, 24, 26], "only 2 points are left"),
+        ({"random_from": 5, "acquisition": "random"}, [20, 23, 25], "only 2 points are left in the pool, asked for 3"),
+        ({"random_from": 2, "replacement": True, "acquisition": "random"}, [20, 22, 24, 26], "only 2 points are left"),
     ],
 )
 @pytest.mark.filterwarnings("always")
@@ -174,10 +174,28 @@ def test_impossible_settings_are_refused(change):
         replace(TINY, **change)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"members": 3}, "members does nothing here: no ensemble scores the pool; leave it at 5, got 3"),
+        ({"ambiguous": 0.1}, "ambiguous does nothing here: the pool is clean; leave it at 0.5, got 0.1"),
+        ({"random_from": 30}, "random_from does nothing here: acquisition is not random; leave it at None, got 30"),
+        ({"replacement": True}, "replacement does nothing here: acquisition is not random; leave it at False"),
+        ({"drop": (0.0, 0.0)}, "no weight draws without dropout: choose the approximation softmax"),
+    ],
+)
+def test_settings_that_do_nothing_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(TINY, acquisition="bald", **change)
+    elsewhere = {"members": "approximation", "ambiguous": "pool_kind"}.get(next(iter(change)), "acquisition")
+    use = {"approximation": "ensemble", "pool_kind": "ambiguous", "acquisition": "random"}[elsewhere]
+    replace(TINY, **{"acquisition": "bald", elsewhere: use}, **change)
+
+
 @pytest.mark.parametrize("row", ["ambiguous/ensemble/bald", "repeated/dropout/batch-bald", "irrelevant/dropout/bald"])
 def test_runs_on_noisy_pools_resume(process, row):
     changes = {"epochs": 2, "draws": 5, "subset": 60, "rounds": 2, "acquired": 4, "pool": 500, "validation": 100}
-    config = replace(CONFIGS[f"pools/{row}"], **changes, members=2)
+    config = replace(CONFIGS[f"pools/{row}"], **changes, **({"members": 2} if "ensemble" in row else {}))
     whole = finish(process(config))
     first = process(config)
     first.advance()

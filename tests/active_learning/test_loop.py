@@ -87,7 +87,7 @@ def test_what_is_no_prediction_of_the_candidates_is_refused(change, message, acq
         ({"draws": -1}, "weight draws is a whole number of at least 0, got -1"),
         ({"subset": 0}, "subset is a whole number of at least 1, got 0"),
         ({"generators": []}, "one pool and one generator for each replica"),
-        ({"acquisition": "entropy"}, "unknown acquisition function"),
+        ({"acquisition": "entropy"}, "function 'entropy', choose one of random, max-entropy, .*batch-bald, power-bald"),
     ],
 )
 def test_impossible_requests_are_refused(options, message):

@@ -98,9 +98,12 @@ def test_resumed_equals_uninterrupted(data, name, tmp_path):
         simulate(LEARNERS[name](), *data, **{**options, "draws": 4}, checkpoint=path)
     with pytest.raises(ValueError, match="of another simulation"):
         simulate(LEARNERS[name](), data[0] + 1, data[1], **options, checkpoint=path)
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(ValueError, match="is damaged or no checkpoint"):
-        simulate(LEARNERS[name](), *data, **options, checkpoint=path)
+    stored = path.read_bytes()
+    flipped = (stored[:at] + bytes([stored[at] ^ 1]) + stored[at + 1 :] for at in range(0, len(stored), 99))
+    for damaged in (stored[:100], *flipped):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match="is damaged or no checkpoint"):
+            simulate(LEARNERS[name](), *data, **options, checkpoint=path)
 
 
 def test_a_killed_simulation_goes_on(data, tmp_path):

@@ -83,6 +83,22 @@ def test_notebook_that_was_not_run_is_not_published(small_book):
         book.build(run=False)
 
 
+def test_notebooks_of_another_profile_are_not_published(small_book, monkeypatch, capsys):
+    folder = small_book(one=notebook("1"))
+    ran = notebook("1")
+    ran.metadata["papermill"] = {"parameters": {"profile": "quick"}}
+    (folder / "_build/notebooks").mkdir(parents=True)
+    nbformat.write(ran, folder / "_build/notebooks/one.ipynb")
+    monkeypatch.setattr(book, "_build_html", lambda: None)
+    with pytest.raises(
+        book.BookError, match=r"one.ipynb was last run in profile quick, not recorded: leave --skip-run"
+    ):
+        book.build("recorded", run=False)
+    for profile in ("quick", None):
+        book.build(profile, run=False)
+        assert "as last run, in profile quick" in capsys.readouterr().out
+
+
 PICTURE = "import matplotlib.pyplot as plt; plt.plot([1, 2]); plt.show()"
 ALGORITHM = "```{prf:algorithm} Steps\n:label: steps\n\nDo it.\n```\n\n{prf:ref}`steps` and {numref}`fig-5-1`"
 

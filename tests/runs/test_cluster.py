@@ -1,5 +1,6 @@
 """Units on a Dask cluster of separate worker processes: same records, and a lost worker loses nothing."""
 
+import gc
 import os
 import signal
 import socket
@@ -84,11 +85,15 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(nowhere):
     ]
 
 
-@pytest.mark.parametrize("address", ["tcp://", "host", "ftp://host:1"])
+@pytest.mark.parametrize("address", ["tcp://", "host", "ftp://host:1", "tls://127.0.0.1:1", "inproc://1", "ucx://x:1"])
+@pytest.mark.filterwarnings("error")  # also what a client says when it is deleted
 def test_an_address_that_is_none(address, monkeypatch):
     monkeypatch.setattr(executors, "CONNECT_SECONDS", 0.5)
-    with pytest.raises(RunError, match=f"no Dask scheduler answers at {address}"), cluster(address):
+    with pytest.raises(RunError, match=f"no Dask scheduler answers at {address}") as refused, cluster(address):
         pass
+    assert ("certificates" in str(refused.value)) == address.startswith("tls")
+    del refused
+    gc.collect()
 
 
 def test_workers_of_two_kinds_are_refused():

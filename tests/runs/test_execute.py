@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import toy
 
-from dropout_uncertainty.runs import execute, records, unit
+from dropout_uncertainty.runs import checkpoints, execute, records, unit
 from dropout_uncertainty.runs.records import RecordError
 from dropout_uncertainty.runs.unit import RunError, check_device, precision_dtype
 
@@ -159,7 +159,7 @@ def test_a_damaged_checkpoint_means_starting_again(tmp_path, checkpoint):
 
 @pytest.mark.parametrize("content", [{"state": {"finished": 3}}, {"other": 1}])
 def test_a_checkpoint_of_another_version_is_kept_and_named(tmp_path, checkpoint, content):
-    execute._save(checkpoint, content)
+    checkpoints.save(checkpoint, content)
     before = checkpoint.read_bytes()
     with pytest.raises(RunError, match=r"\.pt is of a version that kept other things .*go on with that version"):
         execute.run_unit(toy.unit(), tmp_path)

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from stored import ARRAYS, CONFIG, header, rewrite
 from test_cli import command
 
-from dropout_uncertainty.runs import execute, records
+from dropout_uncertainty.runs import checkpoints, execute, records
 from dropout_uncertainty.runs.records import RecordError
 
 HERE = Path(__file__).parents[1]
@@ -140,21 +140,21 @@ write()
 
 def test_a_disk_that_fills_up_in_the_middle_of_a_run_keeps_the_last_checkpoint(tmp_path, monkeypatch):
     monkeypatch.setattr(execute, "CHECKPOINT_SECONDS", -1.0)
-    save = execute._save
+    save = checkpoints.save
 
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     def first(path, content):
         save(path, content)
-        monkeypatch.setattr(execute, "_save", full)
+        monkeypatch.setattr(checkpoints, "save", full)
 
     with monkeypatch.context() as disk:
         disk.setattr(np, "savez_compressed", full)
-        monkeypatch.setattr(execute, "_save", first)
+        monkeypatch.setattr(checkpoints, "save", first)
         with pytest.raises(RecordError, match="No space left on device"):
             execute.run_unit(toy.unit(), tmp_path)
-    monkeypatch.setattr(execute, "_save", save)
+    monkeypatch.setattr(checkpoints, "save", save)
     resumed = execute.run_unit(toy.unit(), tmp_path)
     assert resumed.header["provenance"]["interruptions"] == 1
     assert resumed.header["payload"] == execute.run_unit(toy.unit(), tmp_path / "other").header["payload"]
@@ -290,6 +290,6 @@ def test_containers_that_hold_anything(folder, name, junk):
 @given(junk=st.binary(max_size=300), keep=st.integers(0, 400))
 def test_damaged_checkpoints_are_not_continued(folder, junk, keep):
     path = folder / "checkpoint.pt"
-    execute._save(path, {"state": {"done": 3}})
+    checkpoints.save(path, {"state": {"done": 3}})
     path.write_bytes(path.read_bytes()[:keep] + junk)
     assert execute._load(path) is None

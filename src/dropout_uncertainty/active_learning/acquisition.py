@@ -117,11 +117,10 @@ def score(acquisition: str, log_probs: ArrayLike) -> Float[Tensor, " N"]:
     """Return the scores of the named acquisition function in float64, from log-probabilities [S, N, C].
 
     Raises:
-        ValueError: if the name is unknown or ``checked`` refuses the log-probabilities.
+        ValueError: if no function of that name scores points, or ``checked`` refuses the log-probabilities.
     """
     if acquisition not in ACQUISITIONS:
-        names = ", ".join(["random", *ACQUISITIONS])
-        raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {names}")
+        raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {', '.join(ACQUISITIONS)}")
     return ACQUISITIONS[acquisition](checked(log_probs))
 
 

@@ -13,9 +13,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Generator, Tensor
 
-from dropout_uncertainty.active_learning.acquisition import p_log_q, score, select
+from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS, p_log_q, score, select
 
-__all__ = ["BATCH_ACQUISITIONS", "batch_bald", "power_bald"]
+__all__ = ["BATCH_ACQUISITIONS", "batch_bald", "check_name", "power_bald"]
 
 #: Joint outcomes of the points chosen so far that are enumerated; beyond that as many are sampled.
 OUTCOMES = 1_000
@@ -99,3 +99,10 @@ BATCH_ACQUISITIONS: dict[str, Callable[[Tensor, int, Generator], Tensor]] = {
     "batch-bald": batch_bald,
     "power-bald": power_bald,
 }
+
+
+def check_name(acquisition: str) -> None:
+    """Raise ValueError unless points can be acquired by that name: "random", a score, or what chooses a batch."""
+    names = ["random", *ACQUISITIONS, *BATCH_ACQUISITIONS]
+    if acquisition not in names:
+        raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {', '.join(names)}")

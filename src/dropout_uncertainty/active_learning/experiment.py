@@ -18,8 +18,7 @@ from torch import Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning import mnist
-from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS
-from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
+from dropout_uncertainty.active_learning.batch_acquisition import check_name
 from dropout_uncertainty.active_learning.ensemble import Ensemble
 from dropout_uncertainty.active_learning.loop import acquire
 from dropout_uncertainty.active_learning.network import CLASSES, INITIALISATIONS, BayesianCNN
@@ -29,7 +28,7 @@ from dropout_uncertainty.bayes import check_probability
 from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import Unit, precision_dtype
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import idle, of_type, tidy
 
 __all__ = ["CONFIGS", "EXPERIMENT", "ROWS", "ActiveLearning", "CNNLearner", "Config", "start", "units"]
 
@@ -96,11 +95,7 @@ class Config:
     def __post_init__(self) -> None:
         """Raise ValueError where a setting cannot be run."""
         tidy(self)
-        acquisitions = ["random", *ACQUISITIONS, *BATCH_ACQUISITIONS]
-        if self.acquisition not in acquisitions:
-            raise ValueError(
-                f"unknown acquisition function {self.acquisition!r}, choose one of {', '.join(acquisitions)}"
-            )
+        check_name(self.acquisition)
         if self.approximation not in ("dropout", "softmax", "ensemble"):
             raise ValueError(f"unknown approximation {self.approximation!r}, choose dropout, softmax or ensemble")
         if self.pool_kind not in KINDS:
@@ -121,6 +116,14 @@ class Config:
             raise ValueError("learning_rate must be above 0, decay and mc_test_every at least 0")
         if self.rounds < 0 or self.validation < 0 or (self.subset is not None and self.subset < 1):
             raise ValueError("rounds and validation must be at least 0, and subset at least 1 or None")
+        if self.acquisition != "random":
+            idle(self, ("random_from", "replacement"), "acquisition is not random")
+            if self.approximation == "dropout" and not any(self.drop):
+                raise ValueError("there are no weight draws without dropout: choose the approximation softmax")
+        if self.pool_kind != "ambiguous":
+            idle(self, ("ambiguous",), f"the pool is {self.pool_kind}")
+        if self.approximation != "ensemble":
+            idle(self, ("members",), "no ensemble scores the pool")
 
 
 #: The rows of Tables 5.1 and 5.2 that we run, in this order: name -> (approximation, acquisition).
@@ -250,7 +253,7 @@ class CNNLearner:
         precision: str = "float32",
         data: mnist.Mnist | Sequence[mnist.Mnist] | None = None,
     ) -> None:
-        self.config, self.seeds, self.path = config, rng.check_seeds(seeds), path
+        self.config, self.seeds, self.path = of_type(Config, config, "config"), rng.check_seeds(seeds), path
         self.device = torch.device(device)
         self.compute = precision_dtype(precision)
         data = data or mnist.load()
@@ -343,7 +346,7 @@ class ActiveLearning:
     def __init__(
         self, config: Config, seeds: Sequence[int], *, device: str, precision: str, data: mnist.Mnist | None = None
     ) -> None:
-        self.config, self.seeds = config, rng.check_seeds(seeds)
+        self.config, self.seeds = of_type(Config, config, "config"), rng.check_seeds(seeds)
         self.tasks = [task_of(config, seed, data or mnist.load()) for seed in self.seeds]
         options: dict[str, Any] = {"device": device, "precision": precision, "data": [task.data for task in self.tasks]}
         self.learner: CNNLearner | Ensemble = CNNLearner(config, self.seeds, **options)

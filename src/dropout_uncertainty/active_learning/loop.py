@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 from torch import Generator, Tensor, nn
 
 from dropout_uncertainty.active_learning.acquisition import Selection, checked, score, select
-from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
+from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS, check_name
 from dropout_uncertainty.active_learning.inputs import numbers, whole
 from dropout_uncertainty.active_learning.pools import Pool
 
@@ -65,6 +65,7 @@ def acquire(
         ValueError: if a pool is empty, the acquisition is unknown, or the learner returns anything but the
             log-probabilities of these candidates.
     """
+    check_name(acquisition)
     if isinstance(pools, Pool) or isinstance(generators, Generator) or len(pools) != len(generators):
         raise ValueError("expected one pool and one generator for each replica, in two lists of the same length")
     if len({id(pool) for pool in pools}) < len(pools):

@@ -1,7 +1,6 @@
 """Active learning on a data set whose labels are all known: how many of them would have been enough?"""
 
 import hashlib
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,11 +13,12 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS, checked
-from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS
+from dropout_uncertainty.active_learning.acquisition import checked
+from dropout_uncertainty.active_learning.batch_acquisition import check_name
 from dropout_uncertainty.active_learning.inputs import indices, numbers, whole
 from dropout_uncertainty.active_learning.loop import Learner, acquire, predictions
 from dropout_uncertainty.active_learning.pools import Pool
+from dropout_uncertainty.runs import checkpoints
 
 __all__ = ["Curve", "simulate"]
 
@@ -88,8 +88,7 @@ def simulate(
     Raises:
         ValueError: if the data are not as above, or the checkpoint is damaged or of another simulation.
     """
-    if acquisition not in (names := ["random", *ACQUISITIONS, *BATCH_ACQUISITIONS]):
-        raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {', '.join(names)}")
+    check_name(acquisition)
     count, rounds = whole(count, "the count of points to acquire"), whole(rounds, "the number of rounds", 0)
     draws, seed = whole(draws, "the number of weight draws", 0), whole(seed, "the seed", 0)
     subset = None if subset is None else whole(subset, "the size of the subset")
@@ -188,18 +187,16 @@ class _Checkpoint:
         if not self.path:
             return
         state = {"identity": self.identity, "labelled": pool.labelled, "sizes": sizes, "errors": errors}
-        temporary = self.path.with_name(f"{self.path.name}.tmp")
-        torch.save(state, temporary)
-        temporary.replace(self.path)
+        checkpoints.save(self.path, state)
 
     def restore(self, pool: Pool) -> tuple[list[int], list[float]]:
         """Label in the pool what had been, and return the number of labels and the errors so far."""
         if not self.path or not self.path.exists():
             return [], []
         try:
-            state = torch.load(self.path, weights_only=True)
+            state = checkpoints.load(self.path)
             identity = state["identity"]
-        except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError, IndexError):
+        except (ValueError, KeyError):
             raise ValueError(f"{self.path} is damaged or no checkpoint of a simulation: move it away") from None
         if identity != self.identity:
             raise ValueError(f"{self.path} is of another simulation (data, learner or settings): name another file")

@@ -7,7 +7,7 @@ from dropout_uncertainty.bayes import check_probability
 from dropout_uncertainty.exploration.agent import CHUNK
 from dropout_uncertainty.exploration.foraging.world import Rules
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import idle, tidy
 
 __all__ = ["BLOCK", "NO_DROPOUT", "AgentConfig", "Config", "at_least", "check_learning", "make_policy"]
 
@@ -179,8 +179,5 @@ def _check_schedules(config: Config) -> None:
     policies = [agent.policy for agent in config.agents]
     for name in policies:
         make_policy(name, config)
-    used = {setting for name in policies for setting in SCHEDULES.get(name, {})}
-    for item in fields(config):
-        known = any(item.name in settings for settings in SCHEDULES.values())
-        if known and item.name not in used and getattr(config, item.name) != item.default:
-            raise ValueError(f"{item.name} does nothing here: no agent has a policy that follows it")
+    followed = {setting for name in policies for setting in SCHEDULES.get(name, {})}
+    idle(config, {s for known in SCHEDULES.values() for s in known} - followed, "no agent has a policy that follows it")

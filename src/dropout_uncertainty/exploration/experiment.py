@@ -16,6 +16,7 @@ from dropout_uncertainty.exploration.foraging.world import World
 from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import Unit, precision_dtype
+from dropout_uncertainty.settings import of_type
 
 __all__ = [
     "AS_DEMO", "AS_WRITTEN", "BLOCK", "CONFIGS", "OURS", "TWO_BY_TWO", "WIDE", "AgentConfig", "Config", "Foraging",
@@ -120,7 +121,7 @@ class Foraging:
     ) -> None:
         if precision not in ("float32", "float64"):
             raise UserError(f"the agents of section 5.3 compute in float32 or float64, not in {precision!r}")
-        self.config, self.seeds = config, rng.check_seeds(seeds)
+        self.config, self.seeds = of_type(Config, config, "config"), rng.check_seeds(seeds)
         self.total, self.done = config.ticks // BLOCK, 0
         layout = rng.stacked(lambda g: torch.rand(world.ITEMS, 3, dtype=torch.float64, generator=g),
                              self.seeds, "environment", "start")  # fmt: skip

@@ -77,23 +77,48 @@ def run_notebooks(profile: str = "recorded", names: Sequence[str] | None = None)
         return _run_notebooks(profile, names)
 
 
-def build(profile: str = "recorded", *, run: bool = True) -> Path:
+def build(profile: str | None = None, *, run: bool = True) -> Path:
     """Run all notebooks (unless ``run`` is false), build the HTML and return the path of its first page.
+
+    Args:
+        profile: that of the run, by default "recorded"; without a run that of the last one, by default whatever it was.
+        run: whether the notebooks are run.
 
     Raises:
         UserError: if the profile is unknown, or the folder of the records is not there.
-        BookError: if a notebook fails, was not run before, or jupyter-book reports an error or a warning.
+        BookError: if a notebook fails, was not run before or in another profile, or jupyter-book reports an error or a
+            warning.
     """
-    profiles.check(profile)
+    profile = "recorded" if profile is None and run else profile
+    if profile is not None:
+        profiles.check(profile)
     begin = time.monotonic()
     with _only_one():
         if run:
             _run_notebooks(profile, None)
+        else:
+            _check_profile(profile)
         _assemble()
         _build_html()
         page = HTML.resolve() / "index.html"
     print(f"The book is ready after {_duration(time.monotonic() - begin)}; open {page}")
     return page
+
+
+def _check_profile(profile: str | None) -> None:
+    """Say in which profiles the notebooks were last run; raises BookError if in another one than the one asked for."""
+    last = {}
+    for name in notebooks():
+        with contextlib.suppress(FileNotFoundError, KeyError):
+            content = json.loads((EXECUTED / f"{name}.ipynb").read_text(encoding="utf-8"))
+            last[name] = content["metadata"]["papermill"]["parameters"]["profile"]
+    for name, ran in last.items():
+        if profile not in (None, ran):
+            raise BookError(
+                f"{NOTEBOOKS / name}.ipynb was last run in profile {ran}, not {profile}: leave --skip-run out, or ask "
+                f"for --profile {ran}"
+            )
+    print(f"The notebooks are as last run, in profile {' and '.join(sorted(set(last.values()))) or 'unknown'}")
 
 
 def _run_notebooks(profile: str, names: Sequence[str] | None) -> dict[str, float]:

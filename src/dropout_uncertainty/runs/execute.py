@@ -6,9 +6,6 @@ kept in ``records/.partial``. A run that was killed continues from there and end
 
 import contextlib
 import hashlib
-import io
-import os
-import pickle
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,7 +17,7 @@ import torch
 from filelock import FileLock, Timeout
 from tqdm.auto import tqdm
 
-from dropout_uncertainty.runs import records
+from dropout_uncertainty.runs import checkpoints, records
 from dropout_uncertainty.runs.process import Process, rounding
 from dropout_uncertainty.runs.records import Record, RecordError
 from dropout_uncertainty.runs.unit import RunError, Unit, check_memory, differing
@@ -145,7 +142,8 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool) -> Record:
             begin = time.monotonic()
             # A large state is saved less often, so that saving takes a thirtieth of the time at most.
             if begin - last > max(CHECKPOINT_SECONDS, 30 * saving) and process.done < process.total:
-                _save(partial, {"state": process.state(), "clock": clock, "commits": commits, "parents": parents})
+                content = {"state": process.state(), "clock": clock, "commits": commits, "parents": parents}
+                checkpoints.save(partial, content)
                 last = time.monotonic()
                 saving = last - begin
     timings: dict[str, Any] = getattr(process, "timings", dict)()
@@ -203,25 +201,11 @@ def _timed(clock: dict[str, Any]) -> Iterator[None]:
     clock["cpu_s"] += time.process_time() - cpu
 
 
-def _save(path: Path, content: dict[str, Any]) -> None:
-    """Write a checkpoint beside ``path`` and move it into place, so that a kill leaves the old one or the new one."""
-    buffer = io.BytesIO()
-    torch.save(content, buffer)
-    temporary = path.with_suffix(".tmp")
-    with open(temporary, "wb") as file:
-        file.write(hashlib.sha256(buffer.getvalue()).digest() + buffer.getvalue())
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
-
-
 def _load(path: Path) -> dict[str, Any] | None:
     """Return the checkpoint at ``path``; None (start again) if there is none or, which is said, it is damaged."""
     if not path.exists():
         return None
-    content = path.read_bytes()
-    if hashlib.sha256(content[32:]).digest() == content[:32]:
-        with contextlib.suppress(pickle.UnpicklingError):  # written by a version that kept other things in it
-            return torch.load(io.BytesIO(content[32:]), weights_only=True)
+    with contextlib.suppress(ValueError):
+        return checkpoints.load(path)
     tqdm.write(f"the checkpoint {path.name} cannot be read: starting this unit again")
     return None

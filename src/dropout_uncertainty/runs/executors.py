@@ -1,5 +1,6 @@
 """Executors of units: processes of this machine, which end with their parent, and the workers of a Dask cluster."""
 
+import asyncio
 import contextlib
 import multiprocessing
 import os
@@ -78,10 +79,14 @@ def cluster(address: str) -> Iterator[Executor]:
     except ImportError:
         raise RunError("a Dask cluster needs the package distributed: `pip install 'distributed>=2024.8'`") from None
     try:
-        distributed.comm.get_address_host_port(address)  # a client that cannot even begin complains when it is deleted
+        asyncio.run(_greet(address))  # a client that cannot even begin complains when it is deleted
         client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        raise RunError(f"no Dask scheduler answers at {address}: is it running, and is the address right?") from error
+        encrypted = address.startswith(("tls:", "wss:"))
+        hint = " Do Dask's settings name its certificates (distributed.comm.tls)?" if encrypted else ""
+        raise RunError(
+            f"no Dask scheduler answers at {address}: is it running, and is the address right?{hint}"
+        ) from error
     with client:
         if not client.nthreads():
             tqdm.write(f"the scheduler at {address} has no workers yet: units wait for one")
@@ -92,3 +97,11 @@ def cluster(address: str) -> Iterator[Executor]:
             raise RunError(f"workers died again and again of one unit; is their memory enough? {error}") from error
         except CancelledError:
             raise RunError(f"the scheduler at {address} is gone; the same command continues with another") from None
+
+
+async def _greet(address: str) -> None:
+    """Connect to a scheduler and go; raises OSError, ValueError or TypeError where that cannot be done."""
+    import distributed
+
+    secrets = distributed.Security().get_connection_args("client")
+    await (await distributed.comm.connect(address, timeout=CONNECT_SECONDS, **secrets)).close()

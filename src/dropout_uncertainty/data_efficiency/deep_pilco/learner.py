@@ -18,6 +18,7 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole, Rollout
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import precision_dtype
+from dropout_uncertainty.settings import of_type
 
 __all__ = [
     "AS_TEXT",
@@ -321,7 +322,7 @@ def start(
     Raises:
         ValueError: without seeds, or for bfloat16, which has no Cholesky factor.
     """
-    return DeepPilcoLearning(config, seeds, device, dtype_of(precision), kept)
+    return DeepPilcoLearning(of_type(DeepPilcoConfig, config, "config"), seeds, device, dtype_of(precision), kept)
 
 
 def dtype_of(precision: str) -> torch.dtype:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dropout_uncertainty.data_efficiency.plant import cartpole
+from dropout_uncertainty import rendering
+from dropout_uncertainty.data_efficiency.plant import cartpole, drawing
 from dropout_uncertainty.errors import UserError
 
 try:
@@ -68,12 +69,21 @@ class CartPoleSwingUp(gymnasium.Env):
     as a share of the plant's limit, in [-1, 1]. Reward: 1 - cost of the true next state, in [0, 1]. The episode is
     truncated after the plant's number of steps and never terminates before. ``info["state"]`` is the true state.
     The plant moves as that of the learners does, within 1e-6 a step (`step`).
+
+    Args:
+        plant: a name in ``cartpole.PRESETS`` or a plant of your own.
+        render_mode: "rgb_array" for ``render``, or None.
+
+    Raises:
+        ValueError: for an unknown plant.
+        UserError: for an unknown render mode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's interface
+    metadata = rendering.RENDERING
 
-    def __init__(self, preset: str = "paper") -> None:
-        self.plant = cartpole.preset(preset)
+    def __init__(self, plant: str | cartpole.CartPole = "paper", render_mode: str | None = None) -> None:
+        self.plant = plant if isinstance(plant, cartpole.CartPole) else cartpole.preset(plant)
+        self.render_mode = rendering.check_render_mode(render_mode)
         self.observation_space = spaces.Box(-np.inf, np.inf, (4,), np.float64)
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
         self._state: State | None = None
@@ -94,7 +104,10 @@ class CartPoleSwingUp(gymnasium.Env):
         """
         if self._state is None:
             raise UserError("the environment has no state yet: call reset first")
-        share = np.asarray(action, dtype=np.float64).reshape(-1)
+        try:
+            share = np.asarray(action, dtype=np.float64).reshape(-1)
+        except (TypeError, ValueError):
+            share = np.empty(0)
         if share.size != 1 or not abs(share[0]) <= 1:  # NaN is not
             limit = self.plant.force_limit
             raise UserError(f"expected an action of one number in [-1, 1], the share of {limit:g} N, got {action!r}")
@@ -102,6 +115,22 @@ class CartPoleSwingUp(gymnasium.Env):
         self._steps += 1
         state = np.array(moved)
         return self._observe(state), self._reward(moved), False, self._steps >= self.plant.steps, {"state": state}
+
+    def render(self) -> np.ndarray | None:
+        """Return a picture [H, W, 3] of the true state with the goal, as the book draws it; None without a mode."""
+        if self.render_mode is None:
+            return None
+        if self._state is None:
+            raise UserError("the environment has no state yet: call reset first")
+        state, length = np.array(self._state), self.plant.pole_length
+        reach = max(2.6 * length, abs(state[0]) + length)
+
+        def draw(ax: Any) -> None:
+            drawing.goal(ax, self.plant)
+            drawing.cart_pole(ax, self.plant, state)
+            ax.set(xlim=(-reach, reach), ylim=(-reach / 2, reach / 2), aspect="auto")
+
+        return rendering.pixels(draw, 6.0, 3.0)
 
     def _observe(self, state: np.ndarray) -> np.ndarray:
         return state + self.plant.observation_noise * self.np_random.standard_normal(4)

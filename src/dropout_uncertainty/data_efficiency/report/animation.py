@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 
 from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole, tip
+from dropout_uncertainty.data_efficiency.plant.drawing import CART
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
-from dropout_uncertainty.data_efficiency.report.figures import CART
 from dropout_uncertainty.page.plotting import COLOURS
 from dropout_uncertainty.page.svg_animation import SHOWN, Player, Shape, circle, letters, line, polygon, polyline, text
 

@@ -5,26 +5,25 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from matplotlib import patches
 from matplotlib.axes import Axes
 
-from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole, tip
+from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole
+from dropout_uncertainty.data_efficiency.plant.drawing import CART, DARK, cart_pole, goal
 from dropout_uncertainty.data_efficiency.report import analysis
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.judging.results import thesis_value
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, legend_above
 
 __all__ = [
-    "angles", "cart_pole", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_8", "gradient_shares", "matched_output",
+    "angles", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_8", "gradient_shares", "matched_output",
     "predicted_and_realised", "predicted_trial", "snapshots", "solved_over_trials",
 ]  # fmt: skip
 
 #: Size of the symbols in a sketch [points]: that of the formulas in the text.
 SYMBOL = 12
-STATE, FORCE, DARK = "#DCE9F5", "#FBE6C8", "#333333"
-CART = (0.3, 0.12)  # width and height of the drawn cart [m]
+STATE, FORCE = "#DCE9F5", "#FBE6C8"
 #: Vertical lines of Figure 5.7: id of the printed number, what it is, and the colour it has in the thesis.
 PRINTED = (
     ("figure-5.7/pilco/caption", "PILCO, caption", COLOURS["pilco"]),
@@ -66,26 +65,6 @@ def _arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float]) -> No
     shape = {"arrowstyle": "-|>", "color": DARK, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 14, "linewidth": 1.2}
     direction = np.subtract(end, start) / np.hypot(*np.subtract(end, start))
     ax.annotate("", end - 0.4 * direction, start + 0.39 * direction, arrowprops=shape)
-
-
-def cart_pole(
-    ax: Axes, plant: CartPole, state: Float[np.ndarray, " 4"], *, colour: str = DARK, alpha: float = 1.0
-) -> Axes:
-    """Draw cart and pole of a state (x [m], v, w, theta [rad]) to scale, the pivot at height 0."""
-    x = float(state[0])
-    end = tip(plant, torch.as_tensor(np.asarray(state, float))).numpy()
-    corner = (x - CART[0] / 2, -CART[1] / 2)
-    ax.add_patch(patches.Rectangle(corner, *CART, facecolor="#BBBBBB", edgecolor=colour, alpha=alpha, zorder=2))
-    ax.plot([x, end[0]], [0, end[1]], color=colour, linewidth=4, alpha=alpha, solid_capstyle="round", zorder=3)
-    ax.plot(x, 0, "o", color=colour, markersize=5, alpha=alpha, zorder=4)
-    ax.set_aspect("equal")
-    return ax
-
-
-def goal(ax: Axes, plant: CartPole) -> None:
-    """Draw the track and the black cross, where the tip shall stand."""
-    ax.axhline(-CART[1] / 2, color="#999999", linewidth=1, zorder=1)
-    ax.plot(0, plant.pole_length, "x", color="black", markersize=12, markeredgewidth=3, zorder=5)
 
 
 def figure_5_6(ax: Axes, plant: CartPole = PAPER, angle: float = 0.75, position: float = 0.5) -> Axes:

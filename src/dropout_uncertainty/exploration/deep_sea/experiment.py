@@ -20,7 +20,7 @@ from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
 from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import Unit, precision_dtype
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import idle, of_type, tidy
 
 __all__ = [
     "AGENTS", "CONFIGS", "REGRET", "SIZES", "TIMES", "WINDOW", "Config", "Diving", "mean_regret", "start",
@@ -36,6 +36,8 @@ WINDOW = 100
 TIMES = (30, 100, 300, 1000, 3000, 10_000)
 #: No random moves at the start: `policies.in_burn_in` counts from the third tick.
 NO_BURN_IN = -2
+#: Policies with a temperature that falls.
+COOLED = ("boltzmann", "annealed-thompson")
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,7 @@ class Config:
     """Weight decay, divided by the batch size."""
 
     def __post_init__(self) -> None:
+        tidy(self)
         check(self)
 
 
@@ -104,6 +107,14 @@ def check(config: Config) -> None:
         raise ValueError(f"a draw is held for a move or an episode, got {config.held!r}")
     if not 0 < config.share <= 1:
         raise ValueError(f"a share lies in (0, 1], got {config.share}")
+    if config.policy != "epsilon-greedy":
+        idle(config, ("epsilon_floor",), "the policy has no ε")
+    if config.policy not in COOLED:
+        idle(config, ("temperature_start", "temperature_end"), "the policy has no temperature")
+    if config.policy not in ("epsilon-greedy", *COOLED):
+        idle(config, ("anneal_episodes",), "nothing is annealed")
+    if not POLICIES[config.policy].draws_weights:
+        idle(config, ("held",), "the policy acts on the mean weights")
 
 
 #: The agents. What the chapter does not give was chosen once for all of them, on seeds 100-109 in seas of 8 and 10:
@@ -160,7 +171,8 @@ class Diving:
     ) -> None:
         if not seeds:
             raise ValueError("at least one seed is needed, got none")
-        self.config, self.seeds, self.device, self.dtype = config, tuple(seeds), device, precision_dtype(precision)
+        self.config, self.seeds = of_type(Config, config, "config"), tuple(seeds)
+        self.device, self.dtype = device, precision_dtype(precision)
         self.total, self.done = config.episodes // EPISODES, 0
         shape = len(self.seeds), config.size, config.size
         self.found = np.zeros((len(self.seeds), config.episodes), dtype=bool)

@@ -4,9 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from dropout_uncertainty import rendering
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.foraging import world as w
+from dropout_uncertainty.exploration.foraging.drawing import draw_world
 from dropout_uncertainty.exploration.foraging.world import Rules, World
+from dropout_uncertainty.settings import of_type
 
 try:
     import gymnasium
@@ -29,15 +32,16 @@ class ForagingWorld(gymnasium.Env):
     attribute ``world`` can be drawn with ``drawing.draw_world``.
 
     Raises:
-        UserError: if ``ticks`` < 1.
+        UserError: if ``ticks`` < 1, or for another render mode than None and "rgb_array".
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's interface
+    metadata = rendering.RENDERING
 
-    def __init__(self, ticks: int = 1000, rules: Rules | None = None) -> None:
+    def __init__(self, ticks: int = 1000, rules: Rules | None = None, render_mode: str | None = None) -> None:
         if not isinstance(ticks, int | np.integer) or ticks < 1:
             raise UserError(f"an episode has a whole number of ticks, at least one, got {ticks!r}")
-        self.ticks, self.rules = ticks, rules or Rules()
+        self.ticks, self.rules = ticks, Rules() if rules is None else of_type(Rules, rules, "rules")
+        self.render_mode = rendering.check_render_mode(render_mode)
         self.observation_space = spaces.Box(0.0, FARTHEST, (w.INPUTS,), np.float64)
         self.action_space = spaces.Discrete(len(w.ACTIONS))
         self.world: World | None = None
@@ -48,7 +52,7 @@ class ForagingWorld(gymnasium.Env):
         self.world = World(self.np_random.random((1, w.ITEMS, 3)), rules=self.rules)
         return self._observe(self.world), {"food": 0, "poison": 0, "blocked": False}
 
-    def step(self, action: int | np.integer) -> tuple[np.ndarray, float, bool, bool, dict]:
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Make one move.
 
         Raises:
@@ -64,6 +68,14 @@ class ForagingWorld(gymnasium.Env):
         food, poison, blocked = outcome.food[0, 0], outcome.poison[0, 0], outcome.blocked[0, 0]
         info = {"food": int(food), "poison": int(poison), "blocked": bool(blocked)}
         return self._observe(self.world), float(reward[0, 0]), False, self.world.clock >= self.ticks, info
+
+    def render(self) -> np.ndarray | None:
+        """Return a picture [H, W, 3] of the world, as in Figure 5.3; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if (world := self.world) is None:
+            raise UserError("the environment has no state yet: call reset first")
+        return rendering.pixels(lambda ax: draw_world(ax, world), w.WIDTH / 100, w.HEIGHT / 100)
 
     def _observe(self, world: World) -> np.ndarray:
         self._readings = world.sense()

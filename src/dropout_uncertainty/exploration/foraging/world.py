@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import of_type, tidy
 
 __all__ = [
     "ACTIONS", "EYES", "FOOD", "INPUTS", "NOTHING", "POISON", "WALL", "WALLS", "Outcome", "Readings", "Rules", "World",
@@ -104,7 +104,7 @@ class World:
         layout = _uniform_numbers("the first items", layout, (-1, ITEMS, 3))
         if np.isnan(layout).any():
             raise ValueError("expected numbers in [0, 1) for the first items, got NaN")
-        self.rules = rules or Rules()
+        self.rules = Rules() if rules is None else of_type(Rules, rules, "rules")
         self.replicas, self.agents = len(layout), agents
         self.clock = 0
         shape = (self.replicas, agents)

@@ -1,0 +1,28 @@
+"""An agent that holds a draw of its weights for an episode: python examples/hold_a_draw.py CartPole-v1 300."""
+
+import random
+import sys
+
+import gymnasium
+import torch
+
+from dropout_uncertainty.bayes import MLP
+
+env, episodes = gymnasium.make(sys.argv[1]), int(sys.argv[2])
+q = MLP((env.observation_space.shape[0], 64, 64, env.action_space.n), (0.0, 0.1, 0.1), seeds=[100])
+adam, memory, chance, step = torch.optim.Adam(q.parameters(), 1e-3), [], random.Random(100), 0
+for episode in range(episodes):
+    (seen, _), masks, ended, total = env.reset(seed=episode), q.draw(1, "episode", episode), False, 0.0
+    while not ended:
+        action = int(q(torch.tensor(seen, dtype=torch.float32).view(1, 1, -1), masks).argmax())
+        after, reward, terminated, truncated, _ = env.step(action)
+        memory.append((seen, action, reward, after, terminated))
+        seen, ended, total, step = after, terminated or truncated, total + reward, step + 1
+        batch = zip(*chance.choices(memory, k=64), strict=True)
+        s, a, r, t, over = (torch.stack([torch.as_tensor(v, dtype=torch.float32) for v in column]) for column in batch)
+        target = r + 0.98 * (1 - over) * q(t[None])[0].amax(-1).detach()  # by the mean weights
+        loss = (q(s[None], q.draw(64, "learn", step))[0].gather(1, a.long()[:, None])[:, 0] - target).square().mean()
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+    print(f"episode {episode}: return {total:g}")
