@@ -116,7 +116,7 @@ def facts(folder: Path | None = None) -> dict[str, str]:
 
 def used(folder: Path | None = None) -> dict[str, str]:
     """Return verdict and number of each statement of the page "What to use when", by ``use_`` and its id."""
-    found = {}
+    found: dict[str, str] = {}
     for letters in SECTIONS:
         mine = [s for s in STATEMENTS.values() if s.id.startswith(letters) and (s.primary or s.id in USED)]
         found |= {f"use_{j.statement.id}": _used(j) for j in judge(mine, folder) if j.statement.id in USED}
