@@ -132,7 +132,7 @@ def test_everything_is_measured(looked):
     assert shapes == {
         "cloud_mean": (2, 2, 4, 6, 4), "cloud_std": (2, 2, 4, 6, 4), "cloud_valley": (2, 2, 4, 6), "penalty": (2, 2, 6),
         "gradient_variance": (2, 2, 3, 2), "gradient_norm": (2, 2, 3, 2), "objective": (2, 2, 3, 2),
-        "reached": (2, 2, 3), "fresh": (2, 2, 3),
+        "reached": (2, 2, 3), "fresh": (2, 2, 3), "diagonal_std": (2, 2, 2, 6, 4), "penalty_diagonal": (2, 2, 6),
     }  # fmt: skip
     assert all(np.isfinite(record[name]).all() for name in looked.found)
     np.testing.assert_allclose(record["true_states"], looked.log["states"][:, [1, 2]], rtol=1e-6)
