@@ -16,8 +16,17 @@ from dropout_uncertainty.data_efficiency.report.analysis import (
     steps_predicted,
 )
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, from_range, nothing, shifted
-from dropout_uncertainty.stats import Interval, bootstrap_estimate, mean_estimate, share_estimate, t_interval
+from dropout_uncertainty.judging.statements import (
+    NEAR,
+    Kind,
+    Measured,
+    Statement,
+    from_range,
+    nothing,
+    on_average,
+    shifted,
+)
+from dropout_uncertainty.stats import bootstrap_estimate, share_estimate, t_interval
 
 __all__ = ["MARGIN_COST", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "stated"]
 
@@ -119,10 +128,9 @@ def panel(quantity: Callable[[Learning], np.ndarray], claimed: float, folder: Pa
     learning = load(PANEL, folder)
     if learning is None:
         return None
-    difference = mean_estimate(quantity(learning) - claimed)
     ours = load("deep-pilco-ours", folder)
-    beside: dict[str, Interval] = {"our setting": t_interval(quantity(ours))} if ours else {}
-    return Measured(difference, shifted(difference.interval, claimed), learning.records, beside)
+    beside = {"our setting": t_interval(quantity(ours))} if ours else {}
+    return on_average(quantity(learning), learning.records, claimed, beside)
 
 
 def failed(folder: Path | None) -> Measured | None:
@@ -169,8 +177,8 @@ def dearer(first: tuple[str, ...], second: str, trials: int, folder: Path | None
         return None
     until = min(trials, one.trials, two.trials)
     costs = [dict(zip(x.seeds, cost_of_learning(x, until), strict=True)) for x in (one, two)]
-    difference = mean_estimate([costs[0][seed] - costs[1][seed] for seed in one.seeds if seed in costs[1]])
-    return Measured(difference, difference.interval, [*one.records, *two.records])
+    differences = [costs[0][seed] - costs[1][seed] for seed in one.seeds if seed in costs[1]]
+    return on_average(differences, [*one.records, *two.records])
 
 
 def promised(folder: Path | None) -> Measured | None:
@@ -178,8 +186,7 @@ def promised(folder: Path | None) -> Measured | None:
     learning = load("doubt/no-dropout", folder) or load("what-matters/no-dropout", folder)
     if learning is None:
         return None
-    difference = mean_estimate((learning.trial_costs - learning.predicted_costs)[:, 1:].mean(1))
-    return Measured(difference, difference.interval, learning.records)
+    return on_average((learning.trial_costs - learning.predicted_costs)[:, 1:].mean(1), learning.records)
 
 
 def gradient(which: int, folder: Path | None) -> Measured | None:
@@ -187,8 +194,7 @@ def gradient(which: int, folder: Path | None) -> Measured | None:
     learning = load("pilco-paper", folder)
     if learning is None or "search_variance" not in learning.arrays:
         return None
-    difference = mean_estimate(excess_on_predictable(learning)[which])
-    return Measured(difference, difference.interval, learning.records)
+    return on_average(excess_on_predictable(learning)[which], learning.records)
 
 
 INTRODUCTION, PILCO_TEXT, DEEP_TEXT = "Section 5.4", "Section 5.4.1", "Section 5.4.2"
