@@ -1,8 +1,16 @@
-"""What a run may import: no plots, no notebook, no book. The import-linter contracts say the same of single modules."""
+"""What a run may import: no plots, no notebook, no book; and what is said where an import is missing.
 
+The import-linter contracts say the former of single modules.
+"""
+
+import importlib
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+
+from dropout_uncertainty.errors import UserError
 
 PACKAGE = Path(__file__).parents[1] / "src" / "dropout_uncertainty"
 FOR_READERS = {"page", "chapter", "toys", "answers", "figures", "animation", "drawing", "environment"}
@@ -23,3 +31,13 @@ def test_runs_import_nothing_that_only_readers_need():
     outcome = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert outcome.returncode == 0, outcome.stderr
     assert outcome.stdout.split() == []
+
+
+@pytest.mark.parametrize("world", ["data_efficiency.plant", "exploration.foraging", "exploration.deep_sea"])
+def test_without_gymnasium_an_environment_says_what_to_install(world, monkeypatch):
+    name = f"dropout_uncertainty.{world}.environment"
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    with pytest.raises(UserError, match="needs Gymnasium, which is not installed: pip install '"):
+        importlib.import_module(name)
+    monkeypatch.delitem(sys.modules, name, raising=False)

@@ -1,4 +1,4 @@
-"""A tiny unit of work for the tests of runs: a random walk that takes its time."""
+"""A process run to its end; and a tiny unit of work for the tests of runs, a random walk that takes its time."""
 
 import time
 from dataclasses import dataclass
@@ -8,6 +8,13 @@ import torch
 from dropout_uncertainty import rng
 from dropout_uncertainty.runs import execute
 from dropout_uncertainty.runs.unit import Unit
+
+
+def finish(process):
+    """Advance a process to its end, and return it."""
+    while process.done < process.total:
+        process.advance()
+    return process
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The golden vectors of the original PILCO code as float64 tensors, and how they are compared."""
+"""The golden vectors of the original PILCO code as float64 tensors, how they are compared, and a coarse plant."""
 
 import gzip
 import json
@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 import torch
+
+from dropout_uncertainty.data_efficiency.plant import cartpole
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "pilco_golden.json.gz"
 
@@ -82,3 +84,12 @@ def check_moments(derivatives, close):
                     close(derivatives.symmetrise(jac, len(m)), expected, slack, key)
 
     return check
+
+
+@pytest.fixture(scope="module")
+def coarse_plant():
+    """Two integration steps per interval: for what does not depend on their number."""
+    accurate = cartpole.step
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cartpole, "step", lambda plant, state, force: accurate(plant, state, force, 2))
+        yield

@@ -1,6 +1,6 @@
 """What is set in an experiment of section 5.3, and what is refused: a setting that cannot work or would do nothing."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 from dropout_uncertainty.bayes import check_probability

@@ -6,15 +6,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from dropout_uncertainty.judging import rules
 from dropout_uncertainty.judging.results import Result, finite
 from dropout_uncertainty.judging.rules import Verdict
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Estimate, Interval
+from dropout_uncertainty.stats import Estimate, Interval, mean_estimate
 
 __all__ = [
     "KINDS", "NEAR", "Judged", "Kind", "Measured", "Statement", "StatementResult", "audited", "from_range", "judge",
-    "nothing", "shifted",
+    "nothing", "on_average", "shifted",
 ]  # fmt: skip
 
 Kind = Literal["value", "less", "more", "equality", "audit"]
@@ -64,6 +66,17 @@ def audited(holds: bool) -> Measured:
 def shifted(interval: Interval, by: float) -> Interval:
     """Return an interval moved along, such as that of a difference back to the quantity itself."""
     return Interval(interval.value + by, interval.low + by, interval.high + by, interval.n)
+
+
+def on_average(
+    values: Sequence[float] | np.ndarray,
+    records: Sequence[Record],
+    claimed: float = 0.0,
+    beside: Mapping[str, Interval] | None = None,
+) -> Measured:
+    """Return the mean of a value per repetition, less what is claimed; ``beside`` as in ``Measured``."""
+    difference = mean_estimate(np.asarray(values) - claimed)
+    return Measured(difference, shifted(difference.interval, claimed), records, beside or {})
 
 
 def from_range(estimate: Estimate, low: float, high: float) -> Estimate:

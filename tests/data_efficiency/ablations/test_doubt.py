@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from toy import finish
 
 from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import doubt
@@ -13,7 +14,6 @@ from dropout_uncertainty.data_efficiency.deep_pilco.ensemble import Ensemble
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, AS_WRITTEN, OURS
 from dropout_uncertainty.data_efficiency.pilco import learner as pilco
 from dropout_uncertainty.data_efficiency.pilco import planning
-from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.settings import config_diff
@@ -25,24 +25,13 @@ SMALL = SHORT | {
 SMALL_PILCO = SHORT | {"basis": 3, "policy_iterations": 3, "model_iterations": 5}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def coarse_plant():
-    accurate = cartpole.step
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cartpole, "step", lambda plant, state, force: accurate(plant, state, force, 2))
-        yield
+pytestmark = pytest.mark.usefixtures("coarse_plant")
 
 
 def start(config, seeds, **options):
     """Return the process of a config of the family."""
     name = "pilco-mean" if isinstance(config, pilco.PilcoConfig) else "ensemble"
     return configs.units(f"doubt/{name}")[0].start(config, seeds, **options)
-
-
-def finish(process):
-    while process.done < process.total:
-        process.advance()
-    return process
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from dropout_uncertainty.data_efficiency.ablations import mchutchon
 from dropout_uncertainty.data_efficiency.deep_pilco import planning
 from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian
 from dropout_uncertainty.data_efficiency.pilco.gaussian_process import GaussianProcess
-from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.rng import generator
@@ -19,12 +18,7 @@ from dropout_uncertainty.rng import generator
 PLANT = replace(PAPER, steps=6, solved_steps=2)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def coarse_plant():
-    accurate = cartpole.step
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cartpole, "step", lambda plant, state, force: accurate(plant, state, force, 2))
-        yield
+pytestmark = pytest.mark.usefixtures("coarse_plant")
 
 
 @pytest.fixture(scope="module")

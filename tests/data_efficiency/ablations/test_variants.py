@@ -5,6 +5,7 @@ from dataclasses import asdict, fields, replace
 import numpy as np
 import pytest
 import torch
+from toy import finish
 
 from dropout_uncertainty import cli
 from dropout_uncertainty.data_efficiency import configs
@@ -14,7 +15,6 @@ from dropout_uncertainty.data_efficiency.deep_pilco import learner as experiment
 from dropout_uncertainty.data_efficiency.deep_pilco import planning
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import MeanDynamics
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS
-from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.rng import generator
@@ -30,18 +30,7 @@ LOOK = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module", autouse=True)
-def coarse_plant():
-    accurate = cartpole.step
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cartpole, "step", lambda plant, state, force: accurate(plant, state, force, 2))
-        yield
-
-
-def finish(process):
-    while process.done < process.total:
-        process.advance()
-    return process
+pytestmark = pytest.mark.usefixtures("coarse_plant")
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from toy import finish
 
 from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.deep_pilco import learner as experiment
@@ -33,19 +34,7 @@ SHORT = replace(
 )
 
 
-@pytest.fixture(scope="module", autouse=True)
-def coarse_plant():
-    """Two integration steps per interval: what is tested here does not depend on their number."""
-    accurate = cartpole.step
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cartpole, "step", lambda plant, state, force: accurate(plant, state, force, 2))
-        yield
-
-
-def finish(process):
-    while process.done < process.total:
-        process.advance()
-    return process
+pytestmark = pytest.mark.usefixtures("coarse_plant")
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
+from toy import finish
 
 from dropout_uncertainty.data_efficiency import configs, policies
 from dropout_uncertainty.data_efficiency.gaussians import moments, squared_exponential
@@ -37,12 +38,6 @@ SHORT = replace(
 
 
 longer = partial(learner.start, kind=learner.ContinuedPilco)
-
-
-def finish(process):
-    while process.done < process.total:
-        process.advance()
-    return process
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """The Gymnasium environment: its checker, and the same plant behind it."""
 
-import sys
 import warnings
 
 import numpy as np
@@ -11,15 +10,6 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.rng import generator
-
-
-def test_without_gymnasium_the_error_says_what_to_install(monkeypatch):
-    name = "dropout_uncertainty.data_efficiency.plant.environment"
-    monkeypatch.setitem(sys.modules, "gymnasium", None)
-    monkeypatch.delitem(sys.modules, name, raising=False)
-    with pytest.raises(UserError, match="pip install 'gymnasium"):
-        __import__(name)
-    monkeypatch.delitem(sys.modules, name, raising=False)
 
 
 @pytest.fixture

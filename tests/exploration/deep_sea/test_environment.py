@@ -1,6 +1,5 @@
 """The Gymnasium environment: its checker, its id, and the same sea behind it."""
 
-import sys
 import warnings
 
 import numpy as np
@@ -8,15 +7,6 @@ import pytest
 
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.deep_sea.world import DeepSea
-
-
-def test_without_gymnasium_the_error_names_the_extra(monkeypatch):
-    name = "dropout_uncertainty.exploration.deep_sea.environment"
-    monkeypatch.setitem(sys.modules, "gymnasium", None)
-    monkeypatch.delitem(sys.modules, name, raising=False)
-    with pytest.raises(UserError, match="pip install 'gymnasium"):
-        __import__(name)
-    monkeypatch.delitem(sys.modules, name, raising=False)
 
 
 @pytest.fixture

@@ -22,8 +22,8 @@ from dropout_uncertainty.active_learning.report.analysis import (
     share_tied,
 )
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, shifted
-from dropout_uncertainty.stats import Interval, Statistic, bootstrap_estimate, first_crossings, mean_estimate
+from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, on_average, shifted
+from dropout_uncertainty.stats import Interval, Statistic, bootstrap_estimate, first_crossings
 
 __all__ = ["STATEMENTS"]
 
@@ -116,8 +116,8 @@ def curves(
     if not {first, second} <= rows.keys():
         return None
     one, two = (means(rows[name], acquired) for name in (first, second))
-    difference = mean_estimate([one[seed] - two[seed] for seed in one if seed in two])
-    return Measured(difference, difference.interval, [*rows[first].records, *rows[second].records])
+    differences = [one[seed] - two[seed] for seed in one if seed in two]
+    return on_average(differences, [*rows[first].records, *rows[second].records])
 
 
 def compared(
@@ -165,8 +165,7 @@ def averaging(folder: Path | None) -> Measured | None:
     if row is None:
         return None
     averaged = row.stack("mc_error")
-    difference = mean_estimate((row.error - averaged)[:, ~np.isnan(averaged[0])].mean(1))
-    return Measured(difference, difference.interval, row.records)
+    return on_average((row.error - averaged)[:, ~np.isnan(averaged[0])].mean(1), row.records)
 
 
 def slope(name: str, folder: Path | None) -> Measured | None:
@@ -175,8 +174,7 @@ def slope(name: str, folder: Path | None) -> Measured | None:
     if row is None:
         return None
     last = row.labels >= row.labels[-1] - 100
-    difference = mean_estimate(100 * np.polyfit(row.labels[last], row.error[:, last].T, 1)[0])
-    return Measured(difference, difference.interval, row.records)
+    return on_average(100 * np.polyfit(row.labels[last], row.error[:, last].T, 1)[0], row.records)
 
 
 # ------------------------------------------------------------------ audits

@@ -18,9 +18,8 @@ from dropout_uncertainty.data_efficiency.report.analysis import (
     steps_predicted,
 )
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, from_range, shifted
+from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, from_range, on_average, shifted
 from dropout_uncertainty.stats import (
-    Interval,
     Statistic,
     bootstrap_estimate,
     difference_of_shares,
@@ -135,10 +134,9 @@ def panel(quantity: Callable[[Learning], np.ndarray], claimed: float, folder: Pa
     learning = load(PANEL, folder)
     if learning is None:
         return None
-    difference = mean_estimate(quantity(learning) - claimed)
     ours = load("deep-pilco-ours", folder)
-    beside: dict[str, Interval] = {"our setting": t_interval(quantity(ours))} if ours else {}
-    return Measured(difference, shifted(difference.interval, claimed), learning.records, beside)
+    beside = {"our setting": t_interval(quantity(ours))} if ours else {}
+    return on_average(quantity(learning), learning.records, claimed, beside)
 
 
 def failed(folder: Path | None) -> Measured | None:
@@ -185,8 +183,8 @@ def dearer(first: tuple[str, ...], second: str, trials: int, folder: Path | None
         return None
     until = min(trials, one.trials, two.trials)
     costs = [dict(zip(x.seeds, cost_of_learning(x, until), strict=True)) for x in (one, two)]
-    difference = mean_estimate([costs[0][seed] - costs[1][seed] for seed in one.seeds if seed in costs[1]])
-    return Measured(difference, difference.interval, [*one.records, *two.records])
+    differences = [costs[0][seed] - costs[1][seed] for seed in one.seeds if seed in costs[1]]
+    return on_average(differences, [*one.records, *two.records])
 
 
 def promised(folder: Path | None) -> Measured | None:
@@ -194,8 +192,7 @@ def promised(folder: Path | None) -> Measured | None:
     learning = load("doubt/no-dropout", folder) or load("what-matters/no-dropout", folder)
     if learning is None:
         return None
-    difference = mean_estimate((learning.trial_costs - learning.predicted_costs)[:, 1:].mean(1))
-    return Measured(difference, difference.interval, learning.records)
+    return on_average((learning.trial_costs - learning.predicted_costs)[:, 1:].mean(1), learning.records)
 
 
 def fades(config: str, folder: Path | None) -> Measured | None:
@@ -241,8 +238,7 @@ def gradient(which: int, folder: Path | None) -> Measured | None:
     learning = load("pilco-paper", folder)
     if learning is None or "search_variance" not in learning.arrays:
         return None
-    difference = mean_estimate(excess_on_predictable(learning)[which])
-    return Measured(difference, difference.interval, learning.records)
+    return on_average(excess_on_predictable(learning)[which], learning.records)
 
 
 #: The learner that the thesis holds against others, and PILCO.

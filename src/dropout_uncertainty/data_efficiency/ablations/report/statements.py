@@ -26,8 +26,8 @@ from dropout_uncertainty.data_efficiency.report.statements import (
 from dropout_uncertainty.data_efficiency.report.statements import dearer as of_configs
 from dropout_uncertainty.data_efficiency.report.statements import stated as of_section
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, audited, shifted
-from dropout_uncertainty.stats import bootstrap_estimate, mean_estimate
+from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, audited, on_average, shifted
+from dropout_uncertainty.stats import bootstrap_estimate
 
 __all__ = ["SENSITIVITY", "STATEMENTS"]
 
@@ -36,36 +36,23 @@ stated = partial(of_section, chapter="5_4_what_matters")
 MARGIN_EXPONENT = 0.25
 
 
-def measured(values: np.ndarray, records: tuple, claimed: float = 0.0) -> Measured:
-    """Return the mean of a value per repetition, less what is claimed."""
-    difference = mean_estimate(values - claimed)
-    return Measured(difference, shifted(difference.interval, claimed), records)
-
-
-def dearer(first: str, second: str | None, folder: Path | None) -> Measured | None:
+def dearer(first: str, second: str | None, folder: Path | None, *, sign: int = 1) -> Measured | None:
     """Return the cost of learning of a variant less that of another, or of `OURS`; over the trials that both have."""
     pair = compare(first, folder, second)
     if pair is None:
         return None
-    return measured(
-        cost_of_learning(pair.first) - cost_of_learning(pair.second), pair.first.records + pair.second.records
-    )
+    difference = cost_of_learning(pair.first) - cost_of_learning(pair.second)
+    return on_average(sign * difference, pair.first.records + pair.second.records)
 
 
-def matching(folder: Path | None) -> Measured | None:
-    """Return the cost of learning of `OURS` less that without moment matching."""
-    pair = compare("matching-off", folder)
-    if pair is None:
-        return None
-    return measured(
-        cost_of_learning(pair.second) - cost_of_learning(pair.first), pair.first.records + pair.second.records
-    )
+#: The cost of learning of `OURS` less that without moment matching.
+matching = partial(dearer, "matching-off", None, sign=-1)
 
 
 def seen(quantity: Callable[[Inside], np.ndarray], folder: Path | None, needs: str = "penalty") -> Measured | None:
     """Return what was seen inside the learner `OURS` while it learned, if the records hold the array that it needs."""
     found = inside(folder)
-    return measured(quantity(found), found.records) if found and needs in found.arrays else None
+    return on_average(quantity(found), found.records) if found and needs in found.arrays else None
 
 
 def coverage(folder: Path | None) -> Measured | None:
@@ -73,13 +60,13 @@ def coverage(folder: Path | None) -> Measured | None:
     pilco, found = analysis.load("pilco-paper", folder), inside(folder)
     if pilco is None or found is None:
         return None
-    return measured(coverage_of_pilco(pilco, found.measured), pilco.records, NOMINAL)
+    return on_average(coverage_of_pilco(pilco, found.measured), pilco.records, NOMINAL)
 
 
 def exponent(method: str, axis: str, claimed: float, folder: Path | None) -> Measured | None:
     """Return the exponent of the time per trial in a size, less the claimed one."""
     taken = times(folder)
-    return measured(taken.exponents(method, axis), taken.records, claimed) if taken else None
+    return on_average(taken.exponents(method, axis), taken.records, claimed) if taken else None
 
 
 def longer(claimed: float, folder: Path | None) -> Measured | None:
