@@ -76,6 +76,13 @@ def test_what_cannot_be_meant_is_one_sentence(given, message):
         Settings(**given)
 
 
+@pytest.mark.parametrize("config", [pilco.PILCO_PAPER, deep_pilco.OURS])
+@pytest.mark.parametrize("given", ["paper", None, {"pole_length": 0.6}])
+def test_a_config_inside_another_is_no_name(config, given):
+    with pytest.raises(ValueError, match=r"^plant must be of type CartPole, got .*, make one by CartPole\(...\)"):
+        replace(config, plant=given)
+
+
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
 def test_every_section_is_held_to_it(config):
     for name in numbers(config, float):
