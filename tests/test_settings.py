@@ -11,7 +11,7 @@ from dropout_uncertainty.data_efficiency.pilco import learner as pilco
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.exploration import experiment as exploration
 from dropout_uncertainty.exploration.foraging.world import Rules
-from dropout_uncertainty.settings import config_dict, config_diff, config_hash, tidy
+from dropout_uncertainty.settings import config_dict, config_diff, config_hash, of_type, tidy
 
 CONFIGS = {
     "5.2": active_learning.Config(pool=50, subset=20, random_from=30),
@@ -73,6 +73,12 @@ def test_settings_that_are_meant_alike_are_alike():
 def test_what_cannot_be_meant_is_one_sentence(given, message):
     with pytest.raises(ValueError, match=message):
         Settings(**given)
+
+
+@pytest.mark.parametrize("given", ["paper", None, {"pole_length": 0.6}])
+def test_a_config_inside_another_is_no_name(given):
+    with pytest.raises(ValueError, match=r"^plant must be of type CartPole, got .*, make one by CartPole\(...\)"):
+        of_type(cartpole.CartPole, given, "plant")
 
 
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)

@@ -89,13 +89,12 @@ def build(profile: str | None = None, *, run: bool = True) -> Path:
         BookError: if a notebook fails, was not run before or in another profile, or jupyter-book reports an error or a
             warning.
     """
-    profile = "recorded" if profile is None and run else profile
     if profile is not None:
         profiles.check(profile)
     begin = time.monotonic()
     with _only_one():
         if run:
-            _run_notebooks(profile, None)
+            _run_notebooks(profile or "recorded", None)
         else:
             _check_profile(profile)
         _assemble()

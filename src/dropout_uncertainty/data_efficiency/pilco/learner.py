@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, Ca
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import of_type, tidy
 
 __all__ = ["CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start"]
 
@@ -234,7 +234,7 @@ def start(
     """
     if precision != "float64":
         raise ValueError(f"PILCO runs in float64, got {precision}; leave it out")
-    return kind(config, seeds, device, kept)
+    return kind(of_type(PilcoConfig, config, "config"), seeds, device, kept)
 
 
 class ContinuedPilco(PilcoLearning):
