@@ -86,15 +86,33 @@ def test_without_records_there_are_no_results(tmp_path):
     assert two_by_two.load(tmp_path) == {}
 
 
+def test_what_an_agent_does_otherwise_is_read_from_its_config():
+    lines = two_by_two.changes()[1]
+    assert [LABELS["hold-10"], "hold", 1, 10] in lines
+    assert LABELS["dropout-draw"] not in {line[0] for line in lines}
+    assert {line[0] for line in lines} == set(LABELS.values()) - {LABELS["dropout-draw"]}
+
+
 @pytest.mark.parametrize("some", [True, False])
 def test_pictures_show_what_there_is(cells, some):
-    fig, axes = plt.subplots(1, 3)
+    fig, axes = plt.subplots(1, 5)
     shown = cells if some else {}
     figures.interaction(axes[0], shown)
     figures.held_draws(axes[1], shown)
     figures.curves_of_cells(axes[2], shown, list(LEVELS))
+    figures.contrasts(axes[3], shown)
+    figures.masks_off(axes[4], shown)
+    above = [ax.get_title(loc="left") for ax in axes]
+    absent = [text.get_text() for text in axes[3].texts]
     if some:
         line = axes[0].containers[0].lines[0]
         np.testing.assert_allclose(line.get_ydata(), [0.96, 0.91])
         assert len(axes[2].lines) == 4 * len(LEVELS)  # mean and three seeds of each
+        assert [words.startswith("Not run") for words in above] == [False, True, False, False, True]
+        assert absent == ["not run yet"] * 6  # held draws, schedules, and the masks beside ε-greedy
+        dots = [line.get_xdata()[0] for line in axes[3].lines if line.get_marker() == "o"]
+        np.testing.assert_allclose(dots, [-0.05, -0.05, -0.1, -0.2, 0.1, -0.125, 0.025, 0.15])
+    else:
+        assert [words.startswith("Not run") for words in above] == [True, True, True, False, True]
+        assert absent == ["not run yet"] * len(CONTRASTS)
     plt.close(fig)
