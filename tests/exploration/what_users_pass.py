@@ -13,7 +13,7 @@ from dropout_uncertainty.exploration.foraging.environment import ForagingWorld
 from dropout_uncertainty.exploration.foraging.world import ITEMS, Rules, World
 from dropout_uncertainty.exploration.policies import policy
 from dropout_uncertainty.exploration.replay import ReplayMemory
-from dropout_uncertainty.runs.records import config_hash
+from dropout_uncertainty.settings import config_hash
 
 GREEDY = OURS["greedy"]
 LAYOUT = np.zeros((1, ITEMS, 3))

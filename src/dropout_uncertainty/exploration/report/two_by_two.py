@@ -16,7 +16,8 @@ from dropout_uncertainty.exploration.experiment import TWO_BY_TWO, units
 from dropout_uncertainty.exploration.report import analysis
 from dropout_uncertainty.exploration.report.analysis import EARLY, Curves
 from dropout_uncertainty.judging.results import Result, measured
-from dropout_uncertainty.runs import execute, executors, records
+from dropout_uncertainty.runs import execute, executors
+from dropout_uncertainty.settings import config_diff
 from dropout_uncertainty.stats import Interval, t_interval
 
 __all__ = [
@@ -171,8 +172,8 @@ def changes() -> tuple[list[str], list[list[object]]]:
     """Return heads and cells: what each agent does that the thesis's does not, from the configs."""
     base, lines = TWO_BY_TWO[f"{FAMILY}/dropout-draw"], list[list[object]]()
     for name, config in TWO_BY_TWO.items():
-        own = records.config_diff(base.agents[0], config.agents[0])
-        shared = [line for line in records.config_diff(base, config) if line[0] != "agents"]
+        own = config_diff(base.agents[0], config.agents[0])
+        shared = [line for line in config_diff(base, config) if line[0] != "agents"]
         lines += [[LABELS[name.removeprefix(f"{FAMILY}/")], *line] for line in [*own, *shared]]
     return ["agent", "field", "agent of the thesis", "here"], lines
 
