@@ -1,4 +1,4 @@
-"""An agent that holds a draw of its weights for an episode: python examples/hold_a_draw.py CartPole-v1 300."""
+"""An agent that holds a draw for an episode, after random moves: python examples/hold_a_draw.py CartPole-v1 150."""
 
 import random
 import sys
@@ -14,7 +14,8 @@ adam, memory, chance, step = torch.optim.Adam(q.parameters(), 1e-3), [], random.
 for episode in range(episodes):
     (seen, _), masks, ended, total = env.reset(seed=episode), q.draw(1, "episode", episode), False, 0.0
     while not ended:
-        action = int(q(torch.tensor(seen, dtype=torch.float32).view(1, 1, -1), masks).argmax())
+        best = q(torch.tensor(seen, dtype=torch.float32).view(1, 1, -1), masks).argmax()
+        action = int(best) if step >= 1_000 else chance.randrange(env.action_space.n)
         after, reward, terminated, truncated, _ = env.step(action)
         memory.append((seen, action, reward, after, terminated))
         seen, ended, total, step = after, terminated or truncated, total + reward, step + 1
