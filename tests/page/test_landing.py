@@ -125,6 +125,11 @@ def interval(text):
     return [float(end) for end in re.search(r"\[(.*), (.*)\]", text.replace("−", "-")).groups()]
 
 
+def test_held_draws_of_dropout_solve_fewer_seas_and_an_ensemble_with_priors_more(facts):
+    held, epsilon, priors = (number(facts[f"sea_{name}"]) for name in ("held", "epsilon", "priors"))
+    assert held < epsilon / 2 < epsilon < priors
+
+
 def test_the_first_page_uses_every_fact_and_no_other(facts):
     page = (ROOT / "book" / "index.md").read_text(encoding="utf-8")
     assert sorted(re.findall(GLUED, page)) == sorted(set(facts) - {f"use_{name}" for name in landing.USED})

@@ -29,6 +29,7 @@ from dropout_uncertainty.exploration.foraging import drawing
 from dropout_uncertainty.exploration.foraging import world as w
 from dropout_uncertainty.exploration.report import analysis as exploration
 from dropout_uncertainty.exploration.report import animation
+from dropout_uncertainty.exploration.report.deep_sea import dives
 from dropout_uncertainty.judging.collect import SECTIONS, STATEMENTS, collect
 from dropout_uncertainty.judging.results import Result, thesis_value
 from dropout_uncertainty.judging.statements import KINDS, Judged, Statement, StatementResult, judge
@@ -176,6 +177,12 @@ def _thompson(config: str, folder: Path | None, ticks: tuple[int, int], what: st
     return f"{curves.mean(*ticks).mean():.2f}" if what is None else f"{curves.share(what, *ticks).mean():.0%}"
 
 
+def _sea(agent: str, folder: Path | None) -> str | None:
+    """Return how many seas of size 10 an agent solves within the episodes that statement EX9 counts."""
+    found = dives.load(folder).get((agent, 10))
+    return None if found is None else f"{found.within().sum()} of {len(found.seeds)}"
+
+
 def _solved(config: str, trial: int, folder: Path | None) -> str | None:
     learning = data_efficiency.load(config, folder)
     if learning is None or learning.trials < trial:
@@ -243,6 +250,9 @@ FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "departs": lambda folder: _thompson("as-demo", folder, (500_000, 1_000_000), "explored"),
     "dropout_of_text": lambda folder: _thompson("as-written", folder, LATE),
     "dropout_of_program": lambda folder: _thompson("as-demo", folder, LATE),
+    "sea_held": lambda folder: _sea("dropout-per-episode", folder),
+    "sea_epsilon": lambda folder: _sea("epsilon-greedy", folder),
+    "sea_priors": lambda folder: _sea("ensemble-priors", folder),
     "solved_as_written": lambda folder: _solved("deep-pilco-as-written", 25, folder),
     "solved_ours": lambda folder: _solved("deep-pilco-ours", 25, folder),
     "later_as_written": lambda folder: _solved_later("deep-pilco-as-written", folder),
