@@ -10,13 +10,11 @@ import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 __all__ = ["config_dict", "config_diff", "config_hash", "idle", "of_type", "tidy"]
-
-T = TypeVar("T")
 
 #: Equal to no value of a config.
 _NEVER = object()
@@ -36,7 +34,7 @@ def tidy(config: Any) -> None:
         object.__setattr__(config, field.name, _tidied(getattr(config, field.name), hints[field.name], field.name))
 
 
-def of_type(kind: type[T], value: Any, name: str) -> T:
+def of_type(kind: type, value: Any, name: str) -> Any:
     """Return the value; raises ValueError if it is of another type than ``kind``."""
     if not isinstance(value, kind):
         make = f", make one by {kind.__name__}(...) or dataclasses.replace" if is_dataclass(kind) else ""
