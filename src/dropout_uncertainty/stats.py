@@ -15,7 +15,7 @@ from scipy import stats as scipy_stats
 __all__ = [
     "CONFIDENCE", "Estimate", "Interval", "Statistic", "bootstrap_estimate", "bootstrap_interval", "crossing_interval",
     "difference_of_means", "difference_of_shares", "first_crossings", "mean_estimate", "median_filter",
-    "median_interval", "paired_difference", "ratio_interval", "share_estimate", "smaller_median", "t_interval",
+    "median_interval", "paired_difference", "share_estimate", "smaller_median", "t_interval",
 ]  # fmt: skip
 
 CONFIDENCE = 0.95
@@ -211,11 +211,6 @@ def bootstrap_interval(statistic: Statistic, n: int) -> Interval:
     # "Not reached" is infinite: quantiles without interpolation never average it with a number.
     low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], method="inverted_cdf")
     return Interval(value, float(low), float(high), n)
-
-
-def ratio_interval(numerator: np.ndarray, denominator: np.ndarray) -> Interval:
-    """Return mean(numerator) / mean(denominator) with a bootstrap interval, paired over repetitions."""
-    return bootstrap_interval(lambda i: numerator[i].mean(-1) / denominator[i].mean(-1), len(numerator))
 
 
 def first_crossings(curves: np.ndarray, threshold: float, *, above: bool = False) -> np.ndarray:

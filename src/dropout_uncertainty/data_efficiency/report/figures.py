@@ -18,7 +18,7 @@ from dropout_uncertainty.page.plotting import COLOURS, SMALL, legend_above
 
 __all__ = [
     "angles", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_8", "gradient_shares", "matched_output",
-    "predicted_and_realised", "predicted_trial", "snapshots", "solved_over_trials",
+    "predicted_and_realised", "predicted_trial", "solved_over_trials",
 ]  # fmt: skip
 
 #: Size of the symbols in a sketch [points]: that of the formulas in the text.
@@ -276,18 +276,3 @@ def gradient_shares(axes: Sequence[Axes], learning: Learning, trial: int) -> Non
         axes[0].set_ylabel("std of the angle [rad]")
         axes[1].set_ylabel("share of the gradient")
         legend_above(*axes)
-
-
-def snapshots(ax: Axes, plant: CartPole, states: Float[np.ndarray, "times 4"], every: int = 2) -> Axes:
-    """Draw cart and pole at every so many times of a trial, side by side, and the goal of each."""
-    chosen = np.arange(0, len(states), every)
-    width = 2.4 * plant.pole_length
-    for column, i in enumerate(chosen):
-        state = np.asarray(states[i], float) + np.array([column * width, 0, 0, 0])
-        cart_pole(ax, plant, state)
-        ax.plot(column * width, plant.pole_length, "x", color="black", markersize=7, markeredgewidth=2)
-        ax.text(column * width, -1.75 * plant.pole_length, f"{i * plant.dt:.1f} s", ha="center", fontsize=SMALL)
-    ax.axhline(-CART[1] / 2, color="#999999", linewidth=1, zorder=1)
-    ax.set(xlim=(-width, width * len(chosen)), ylim=(-2.0 * plant.pole_length, 1.4 * plant.pole_length))
-    ax.axis("off")
-    return ax

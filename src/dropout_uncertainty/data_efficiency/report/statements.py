@@ -23,7 +23,6 @@ from dropout_uncertainty.stats import (
     Statistic,
     bootstrap_estimate,
     difference_of_shares,
-    mean_estimate,
     share_estimate,
     smaller_median,
     t_interval,
@@ -207,8 +206,7 @@ def fades(config: str, folder: Path | None) -> Measured | None:
     true, mean = (learning.arrays[name][:, trials, 1:, 3].astype(float) for name in ("states", "predicted_mean"))
     right = np.abs(true - mean) * learning.plant.pole_length < learning.plant.cost_width
     fifth = right.shape[-1] // 5
-    difference = mean_estimate(right[..., :fifth].mean((1, 2)) - right[..., -fifth:].mean((1, 2)))
-    return Measured(difference, difference.interval, learning.records)
+    return on_average(right[..., :fifth].mean((1, 2)) - right[..., -fifth:].mean((1, 2)), learning.records)
 
 
 def predicts_better(first: str, second: str, folder: Path | None) -> Measured | None:
@@ -220,8 +218,8 @@ def predicts_better(first: str, second: str, folder: Path | None) -> Measured | 
     for x in (found[0], found[1]):
         missed = x.arrays["states"][:, 1:, 1:, 3].astype(float) - x.arrays["predicted_mean"][:, 1:, 1:, 3]
         errors.append(dict(zip(x.seeds, np.log(np.square(missed).mean((1, 2))) / 2, strict=True)))
-    difference = mean_estimate([errors[0][seed] - errors[1][seed] for seed in found[0].seeds if seed in errors[1]])
-    return Measured(difference, difference.interval, [*found[0].records, *found[1].records])
+    differences = [errors[0][seed] - errors[1][seed] for seed in found[0].seeds if seed in errors[1]]
+    return on_average(differences, [*found[0].records, *found[1].records])
 
 
 def solved_more(first: str, second: str, trial: int, folder: Path | None) -> Measured | None:

@@ -26,12 +26,21 @@ from dropout_uncertainty.exploration.report.analysis import (
     paired,
     ratio,
 )
-from dropout_uncertainty.exploration.report.deep_sea import dives as deep_sea
+from dropout_uncertainty.exploration.report.deep_sea import analysis as deep_sea
+from dropout_uncertainty.exploration.report.deep_sea import dives
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, nothing, shifted
+from dropout_uncertainty.judging.statements import (
+    NEAR,
+    Kind,
+    Measured,
+    Statement,
+    audited,
+    nothing,
+    on_average,
+    shifted,
+)
 from dropout_uncertainty.stats import (
     bootstrap_estimate,
-    difference_of_shares,
     mean_estimate,
     share_estimate,
     smaller_median,
@@ -136,8 +145,7 @@ def gain(agent: str, folder: Path | None) -> Measured | None:
         start, middle, end = (BURN_IN + unit * count for count in (600, 1000, 2000))
         return found[0].mean(middle, end) - found[0].mean(start, middle)
 
-    difference = mean_estimate(later(500))
-    return Measured(difference, difference.interval, found[0].records, {"batches of 200 ticks": t_interval(later(200))})
+    return on_average(later(500), found[0].records, beside={"batches of 200 ticks": t_interval(later(200))})
 
 
 def late_moves(found: Pair) -> tuple[np.ndarray, ...]:
@@ -152,8 +160,7 @@ def random_moves(folder: Path | None) -> Measured | None:
     if found is None:
         return None
     first, second = late_moves((found[0], found[1]))
-    difference = mean_estimate(first - second)
-    return Measured(difference, difference.interval, records_of(*found))
+    return on_average(first - second, records_of(*found))
 
 
 def only_exploits(folder: Path | None) -> Measured | None:
@@ -180,8 +187,7 @@ def reward(first: str, second: str, ticks: tuple[int, int], folder: Path | None)
     if found is None:
         return None
     one, two = paired(*found)
-    difference = mean_estimate(one.mean(*ticks) - two.mean(*ticks))
-    return Measured(difference, difference.interval, records_of(*found))
+    return on_average(one.mean(*ticks) - two.mean(*ticks), records_of(*found))
 
 
 def widths(quantity: Callable[[Curves], np.ndarray], first: str, second: str, folder: Path | None) -> Measured | None:
@@ -190,8 +196,7 @@ def widths(quantity: Callable[[Curves], np.ndarray], first: str, second: str, fo
     if found[0] is None or found[1] is None:
         return None
     one, two = paired(found[0][0], found[1][0])
-    difference = mean_estimate(quantity(one) - quantity(two))
-    return Measured(difference, difference.interval, records_of(found[0][0], found[1][0]))
+    return on_average(quantity(one) - quantity(two), records_of(found[0][0], found[1][0]))
 
 
 def contrast(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured | None:
@@ -200,17 +205,16 @@ def contrast(first: str, second: str, ticks: tuple[int, int], folder: Path | Non
     if found[0] is None or found[1] is None:
         return None
     one, two = paired(found[0], found[1])
-    difference = mean_estimate(one.mean(*ticks, "reward") - two.mean(*ticks, "reward"))
-    return Measured(difference, difference.interval, records_of(found[0], found[1]))
+    return on_average(one.mean(*ticks, "reward") - two.mean(*ticks, "reward"), records_of(found[0], found[1]))
 
 
 def deeper(other: str, folder: Path | None) -> Measured | None:
     """Return the share of seas of size 10 that a draw held for an episode solves, less that of another agent."""
-    dives = deep_sea.load(folder)
-    one, two = (dives.get((name, 10)) for name in ("dropout-per-episode", other))
+    seas = dives.load(folder)
+    one, two = (seas.get((name, 10)) for name in ("dropout-per-episode", other))
     if one is None or two is None:
         return None
-    difference = difference_of_shares(one.within(), two.within())
+    difference = deep_sea.difference(one, two)
     return Measured(difference, difference.interval, [*one.records, *two.records])
 
 
