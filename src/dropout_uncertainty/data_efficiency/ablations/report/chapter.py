@@ -131,7 +131,7 @@ def changes(base: variants.VariantConfig) -> tuple[list[str], list[list[object]]
         for variant in VARIANTS.values()
         for field, *values in config_diff(base, variant.config)
     ]
-    return ["claim", "variant", "field", "ours", "here"], cells
+    return ["statement", "variant", "field", "ours", "here"], cells
 
 
 def worse_and_better(found: Runs) -> Words:
