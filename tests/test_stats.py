@@ -75,6 +75,13 @@ def test_a_statistic_that_mixes_resamples_is_refused():
         stats.bootstrap_interval(lambda i: i.mean(), 4)
 
 
+def test_an_interval_in_words_has_the_limits_that_there_are():
+    assert stats.in_words(stats.t_interval([1.0, 2.0, 3.0])) == "2.00 [-0.48, 4.48]"
+    assert stats.in_words(stats.mean_estimate([1.0, 2.0, 3.0]), ".1f") == "2.0 [-0.5, 4.5]"
+    assert stats.in_words(stats.mean_estimate([-10.5]), ".1f") == "-10.5"
+    assert stats.in_words(stats.t_interval([-0.001, -0.001]), "z.2f") == "0.00 [0.00, 0.00]"
+
+
 def test_paired_samples_must_pair_up():
     with pytest.raises(ValueError, match="one value per seed"):
         stats.paired_difference([1.0, 2.0], [1.0, 2.0, 3.0])

@@ -14,7 +14,7 @@ from scipy import stats as scipy_stats
 
 __all__ = [
     "CONFIDENCE", "Estimate", "Interval", "Statistic", "bootstrap_estimate", "bootstrap_interval", "crossing_interval",
-    "difference_of_means", "difference_of_shares", "first_crossings", "mean_estimate", "median_filter",
+    "difference_of_means", "difference_of_shares", "first_crossings", "in_words", "mean_estimate", "median_filter",
     "median_interval", "paired_difference", "share_estimate", "smaller_median", "t_interval",
 ]  # fmt: skip
 
@@ -54,6 +54,12 @@ class Estimate(NamedTuple):
     def interval(self) -> Interval:
         """The estimate with its 95 % interval."""
         return Interval(self.value, self.low, self.high, self.n)
+
+
+def in_words(found: Interval | Estimate, spec: str = ".2f") -> str:
+    """Return an interval such as "0.35 [0.21, 0.49]", its numbers by a format; without limits if there are none."""
+    limits = "" if math.isnan(found.low) else f" [{found.low:{spec}}, {found.high:{spec}}]"
+    return f"{found.value:{spec}}{limits}"
 
 
 def _unknown(value: float, n: int) -> Estimate:

@@ -18,6 +18,7 @@ from dropout_uncertainty.stats import (
     bootstrap_interval,
     crossing_interval,
     first_crossings,
+    in_words,
     paired_difference,
     t_interval,
 )
@@ -224,9 +225,7 @@ def reached(value: float, last: int) -> str:
 
 
 def _error_cell(interval: Interval | None) -> str | None:
-    if interval is None:
-        return None
-    return f"{interval.value:z.2f}" + ("" if interval.n < 2 else f" [{interval.low:z.2f}, {interval.high:z.2f}]")
+    return None if interval is None else in_words(interval, "z.2f")
 
 
 def _steps_cell(interval: Interval | None, last: int) -> str | None:

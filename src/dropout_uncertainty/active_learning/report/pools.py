@@ -13,7 +13,7 @@ from dropout_uncertainty.active_learning.noisy_pools import Task
 from dropout_uncertainty.active_learning.report.analysis import LABELS, Row, load_rows
 from dropout_uncertainty.judging.results import Result, measured
 from dropout_uncertainty.judging.rules import Side, comparison
-from dropout_uncertainty.stats import Interval, mean_estimate, t_interval
+from dropout_uncertainty.stats import Interval, in_words, mean_estimate, t_interval
 
 __all__ = [
     "CONTRASTS", "END", "NOISE", "RANGE", "STATEMENTS", "Contrast", "acquired", "contrast", "contrasts", "load",
@@ -123,7 +123,7 @@ def verdicts(pools: Mapping[str, Mapping[str, Row]]) -> tuple[list[str], list[li
     for name, (kind, first, second, points, side, margin) in STATEMENTS.items():
         pair = contrast(pools, kind, first, second, points)
         found = mean_estimate(pair.difference)
-        difference = f"{found.value:.1f} [{found.low:.1f}, {found.high:.1f}]" if found.n else "not run yet"
+        difference = in_words(found, ".1f") if found.n else "not run yet"
         where = f"{kind}, {points[0]} to {points[1]}"
         cells.append([name, where, pair.label, side, difference, found.n, comparison(found, side, margin)])
     return ["", "pool, acquired", "difference", "claimed", "points [95 %]", "seeds", "verdict"], cells
@@ -145,8 +145,7 @@ def which_for_which(pools: Mapping[str, Mapping[str, Row]]) -> tuple[list[str], 
 
 def _cell(row: Row) -> str:
     interval, share = t_interval(mean_error(row)), noise(row).mean()
-    text = f"{interval.value:.1f}" + (f" [{interval.low:.1f}, {interval.high:.1f}]" if interval.n > 1 else "")
-    return f"{text} ({interval.n})" + ("" if np.isnan(share) else f", {share:.0%}")
+    return f"{in_words(interval, '.1f')} ({interval.n})" + ("" if np.isnan(share) else f", {share:.0%}")
 
 
 def sensitivity(folder: Path | None = None) -> tuple[list[str], list[list[object]]]:
@@ -161,7 +160,7 @@ def sensitivity(folder: Path | None = None) -> tuple[list[str], list[list[object
     for setting, rows in settings.items():
         pair = contrast({"ambiguous": rows}, *CONTRASTS[0])
         found = mean_estimate(pair.difference)
-        difference = f"{found.value:.1f} [{found.low:.1f}, {found.high:.1f}]" if found.n else "not run yet"
+        difference = in_words(found, ".1f") if found.n else "not run yet"
         cells.append([setting, difference, found.n])
     return ["", "difference [points]", "seeds"], cells
 

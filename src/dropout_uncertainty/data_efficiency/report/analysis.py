@@ -21,7 +21,7 @@ from dropout_uncertainty.judging.results import Result, measured, thesis_value
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.settings import config_diff
-from dropout_uncertainty.stats import CONFIDENCE, Interval, median_interval, t_interval
+from dropout_uncertainty.stats import CONFIDENCE, Interval, in_words, median_interval, t_interval
 
 __all__ = [
     "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "check_quick_deep", "cpu_seconds",
@@ -375,7 +375,9 @@ def fitting_table(learnings: Sequence[Learning]) -> tuple[list[str], list[list[o
         for rows in zip(*(fitting(learning, trial) for learning in learnings), strict=True):
             kind, _, words, _ = rows[0]
             printed = thesis_value(f"figure-5.8/deep-pilco/{kind}-after-{trial}")
-            cells.append([trial, words, printed and f"{printed:g}", *(_number(interval) for *_, interval in rows)])
+            cells.append(
+                [trial, words, printed and f"{printed:g}", *(in_words(interval, ".2g") for *_, interval in rows)]
+            )
     return heads, cells
 
 
@@ -395,10 +397,6 @@ def solved_table(learnings: Sequence[Learning], trials: Sequence[int]) -> tuple[
 
 def _trial(value: float, learning: Learning) -> str:
     return f"{value:.0f}" if np.isfinite(value) else f"> {learning.trials}"
-
-
-def _number(interval: Interval) -> str:
-    return f"{interval.value:.2g}" + (f" [{interval.low:.2g}, {interval.high:.2g}]" if interval.n > 1 else "")
 
 
 def _share(interval: Interval) -> str | None:
@@ -475,6 +473,6 @@ def search_table(folder: Path | None = None) -> tuple[list[str], list[list[objec
         by = [_share(learning.solved_by(t)) for t in (10, 15, 20)]
         cells.append([
             name.removeprefix("search/"), words, f"{min(learning.seeds)}-{max(learning.seeds)}", learning.trials,
-            *by, _share(learning.kept), _number(learning.cost_at(learning.trials)),
+            *by, _share(learning.kept), in_words(learning.cost_at(learning.trials), ".2g"),
         ])  # fmt: skip
     return heads, cells

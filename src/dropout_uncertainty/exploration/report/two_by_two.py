@@ -18,7 +18,7 @@ from dropout_uncertainty.exploration.report.analysis import EARLY, Curves
 from dropout_uncertainty.judging.results import Result, measured
 from dropout_uncertainty.runs import execute, executors
 from dropout_uncertainty.settings import config_diff
-from dropout_uncertainty.stats import Interval, t_interval
+from dropout_uncertainty.stats import Interval, in_words, t_interval
 
 __all__ = [
     "CONTRASTS", "HELD", "LABELS", "LATE", "MARGIN", "SQUARE", "Cells", "Contrast", "cell_table", "changes",
@@ -189,7 +189,7 @@ def cell_table(cells: Mapping[str, Curves]) -> tuple[list[str], list[list[object
             continue
         curves = cells[name]
         explored = 100 * curves.share("explored", start, stop).mean()
-        reward = _words(t_interval(curves.mean(start, stop, "reward")))
+        reward = in_words(t_interval(curves.mean(start, stop, "reward")), ".3f")
         lines.append([label, reward, f"{explored:.0f} %", len(curves.seeds)])
     return heads, lines
 
@@ -201,7 +201,7 @@ def contrast_table(cells: Mapping[str, Curves]) -> tuple[list[str], list[list[ob
         value = interval(cells, contrast)
         lines.append([
             contrast.text, "{:,} to {:,}".format(*contrast.ticks),
-            missing(cells, contrast) if value is None else _words(value), None if value is None else value.n,
+            missing(cells, contrast) if value is None else in_words(value, ".3f"), None if value is None else value.n,
         ])  # fmt: skip
     return ["difference", "ticks", "reward per move", "pairs"], lines
 
@@ -209,9 +209,3 @@ def contrast_table(cells: Mapping[str, Curves]) -> tuple[list[str], list[list[ob
 def missing(cells: Mapping[str, Curves], contrast: Contrast) -> str:
     """Return why a contrast has no interval."""
     return "runs are shorter" if all(name in cells for name in contrast.weights) else "not run yet"
-
-
-def _words(found: Interval) -> str:
-    if found.n < 2:
-        return f"{found.value:.3f}"
-    return f"{found.value:.3f} [{found.low:.3f}, {found.high:.3f}]"

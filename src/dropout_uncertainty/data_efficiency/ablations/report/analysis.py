@@ -23,7 +23,7 @@ from dropout_uncertainty.data_efficiency.report.analysis import Learning, share_
 from dropout_uncertainty.judging.results import Result, measured
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, paired_difference, t_interval
+from dropout_uncertainty.stats import Interval, in_words, paired_difference, t_interval
 
 __all__ = [
     "BASELINE", "NOMINAL", "Comparison", "Inside", "Times", "baseline", "check_quick", "compare", "comparisons",
@@ -300,9 +300,7 @@ def times(folder: Path | None = None) -> Times | None:
 
 def words(interval: Interval, digits: int = 2) -> str:
     """Return an interval for a sentence, e.g. "0.35 [0.21, 0.49]"; without limits if there are none."""
-    value, low, high, _ = interval
-    limits = "" if math.isnan(low) else f" [{low:.{digits}f}, {high:.{digits}f}]"
-    return f"{value:.{digits}f}{limits}"
+    return in_words(interval, f".{digits}f")
 
 
 def factor(logs: Float[np.ndarray, " R"]) -> Interval:
