@@ -11,8 +11,7 @@ book: $(READY) ## run the notebooks on the stored records and build the HTML
 	$(RUN) book
 
 test: check ## style, types, import rules and all tests but the slow ones
-	$(BIN)/python -m pytest --numprocesses auto --ignore tests/test_stopping.py
-	$(BIN)/python -m pytest tests/test_stopping.py
+	$(BIN)/python -m pytest --numprocesses auto
 
 check: $(READY)
 	$(BIN)/ruff check

@@ -19,11 +19,13 @@ from dropout_uncertainty.runs.executors import processes
 from dropout_uncertainty.runs.unit import RunError
 
 HERE = Path(__file__).parent
-#: The command line with an experiment of slow steps, and what Python does with Ctrl-C (a shell may ask to ignore it).
+#: The command line with an experiment of slow steps, and what Python does with signals (shells and nohup may ask to
+#: ignore them).
 PROGRAM = """
 import signal, sys
 from pathlib import Path
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 from dropout_uncertainty import cli
 if __name__ == "__main__":
     import toy
@@ -34,7 +36,7 @@ if __name__ == "__main__":
     toy.units = toy.one_by_one
     cli.main()
 """
-#: Seconds that a person waits without wondering; `make test` has these tests run with no others beside them.
+#: Seconds that a person waits without wondering.
 SOON = 3.0
 
 
