@@ -103,7 +103,7 @@ def main() -> None:
     parts = OURS.policy_steps * policy[20, 30], OURS.model_steps * dynamics[20, 1000], real_trial(20)
     print(
         f"\nOne trial of one repetition among twenty: {sum(parts):.2f} CPU seconds "
-        f"(controller {parts[0]:.2f}, network {parts[1]:.2f}, real trial {parts[2]:.2f})"
+        f"(policy {parts[0]:.2f}, network {parts[1]:.2f}, real trial {parts[2]:.2f})"
     )
 
 

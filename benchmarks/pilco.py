@@ -72,7 +72,7 @@ def step(count: int, inputs: int, outputs: int, repeats: int) -> float:
 
 
 def stored() -> dict[tuple[str, int], float]:
-    """Return CPU seconds by program and N, full Gaussian process with a controller of ten basis functions."""
+    """Return CPU seconds by program and N, full Gaussian process with a policy of ten basis functions."""
     with STORED.open() as file:
         rows = [row for row in csv.DictReader(file) if row["policy_basis"] == "10" and "fitc" not in row["note"]]
     return {(row["impl"].split()[0].split("/")[0], int(row["N"])): float(row["cpu_s"]) for row in rows}

@@ -1,4 +1,4 @@
-"""Controllers and cost: the original's moments and derivatives, Monte Carlo, limits of certainty, clear errors."""
+"""Policies and cost: the original's moments and derivatives, Monte Carlo, limits of certainty, clear errors."""
 
 import math
 from dataclasses import replace
@@ -16,35 +16,35 @@ from dropout_uncertainty.rng import generator
 HALF_TURN = torch.tensor([0.0, 0, 0, math.pi], dtype=torch.float64)
 
 
-def controller_of(hyp, inputs, targets):
-    """The controller of the original's parameters; it overrules their signal and noise."""
+def policy_of(hyp, inputs, targets):
+    """The policy of the original's parameters; it overrules their signal and noise."""
     return RBFPolicy.from_targets(inputs[None], hyp[: inputs.shape[1]].T[None], targets.T[None])
 
 
-def output(controller, m, s, limit=None):
+def output(policy, m, s, limit=None):
     x = Gaussian(m[None], s[None])
-    moments = controller.moments(x) if limit is None else policies.force_moments(controller, limit, x)
+    moments = policy.moments(x) if limit is None else policies.force_moments(policy, limit, x)
     return tuple(a[0] for a in moments)
 
 
 @pytest.mark.parametrize("key", ["congp", "conCat"])
 @pytest.mark.parametrize("number", range(5))
-def test_rbf_controller_matches_the_original(golden, derivatives, close, check_moments, key, number):
+def test_rbf_policy_matches_the_original(golden, derivatives, close, check_moments, key, number):
     case = golden(key)[number]
     limit = case["maxU"].reshape(-1) if key == "conCat" else None  # one per output
     m, s = case["m"][:, 0], case["s"]
     parameters = (case["hyp"], case["inputs"], case["targets"])
-    controller = controller_of(*parameters)
+    policy = policy_of(*parameters)
     # for a certain input (case 4) the covariance is the jitter of 1e-6 plus rounding of the difference of two
     # moments
     tolerance = 1e-8 if s.abs().max() == 0 else 1e-9
-    check_moments(case, lambda m, s: output(controller, m, s, limit), m, s, ("M", "S", "C"), tolerance, tolerance)
+    check_moments(case, lambda m, s: output(policy, m, s, limit), m, s, ("M", "S", "C"), tolerance, tolerance)
     for i, name in enumerate("MSC"):
         columns = []
         for j, parameter in enumerate(parameters):
 
             def varied(p, i=i, j=j):
-                return output(controller_of(*parameters[:j], p, *parameters[j + 1 :]), m, s, limit)[i]
+                return output(policy_of(*parameters[:j], p, *parameters[j + 1 :]), m, s, limit)[i]
 
             columns.append(derivatives.jacobian(varied, parameter))
         close(torch.cat(columns, 1), case[f"d{name}dp"], tolerance, f"d{name}dp")
@@ -99,7 +99,7 @@ def some_state(seed=100):
     return Gaussian(torch.tensor([[0.1, 0, 0, 0.3], [-0.2, 1, 0, 2.5]], dtype=torch.float64), root @ root.mT)
 
 
-def some_controllers(seed=100):
+def some_policies(seed=100):
     g = generator(seed)
 
     def normal(*shape):
@@ -111,18 +111,18 @@ def some_controllers(seed=100):
 
 def test_points_in_any_batch_shape_and_within_the_limit():
     states = torch.randn(2, 6, 4, generator=generator(101), dtype=torch.float64)
-    for controller in some_controllers():
-        forces = policies.force(controller, PAPER, states)
+    for policy in some_policies():
+        forces = policies.force(policy, PAPER, states)
         assert forces.shape == (2, 6)
         assert forces.abs().max() <= PAPER.force_limit
-        one = policies.force(controller, PAPER, states[:, 3])
+        one = policies.force(policy, PAPER, states[:, 3])
         torch.testing.assert_close(one, forces[:, 3])
-        folded = policies.force(controller, PAPER, states.reshape(2, 2, 3, 4))
+        folded = policies.force(policy, PAPER, states.reshape(2, 2, 3, 4))
         torch.testing.assert_close(folded.reshape(2, 6), forces)
 
 
-def test_rbf_controller_is_a_sum_of_gaussians_and_nearly_meets_its_targets():
-    rbf, _ = some_controllers()
+def test_rbf_policy_is_a_sum_of_gaussians_and_nearly_meets_its_targets():
+    rbf, _ = some_policies()
     x = features(torch.randn(2, 1, 4, generator=generator(101), dtype=torch.float64))
     distance = (x - rbf.centres) / rbf.log_length_scales.exp()
     by_hand = (rbf.weights[:, 0] * torch.exp(-(distance**2).sum(-1) / 2)).sum(-1)
@@ -144,9 +144,9 @@ def test_squash_reaches_the_limit_flatly():
 def test_a_certain_state_gives_the_force_of_the_point():
     state = some_state()
     certain = Gaussian(state.mean, torch.zeros_like(state.cov))
-    for controller in some_controllers():
-        moments = policies.force_moments(controller, 10.0, feature_moments(certain).out)
-        point = policies.force(controller, MATLAB, state.mean)
+    for policy in some_policies():
+        moments = policies.force_moments(policy, 10.0, feature_moments(certain).out)
+        point = policies.force(policy, MATLAB, state.mean)
         # the jitter on the preliminary variance of 1e-6 moves the mean by about as much
         torch.testing.assert_close(moments.mean[:, 0], point, rtol=0, atol=1e-4)
         assert (moments.cov >= 0).all()

@@ -211,7 +211,7 @@ def test_deep_pilco_as_written_swings_the_pole_up_but_only_just(facts):
     assert solved[1] > 0.9 < later[1] / 100
 
 
-def test_the_model_of_deep_pilco_as_written_is_right_and_its_controller_slow():  # said in section 5.4
+def test_the_model_of_deep_pilco_as_written_is_right_and_its_policy_slow():  # said in section 5.4
     written, ours = (data_efficiency.load(f"deep-pilco-{name}") for name in ("as-written", "ours"))
     for learning in (written, ours):
         later = learning.later

@@ -149,8 +149,8 @@ def test_clouds_are_those_of_their_plans(looked):
     config = replace(looked.config, hold_masks=True, matching="off")
     (draws,) = planning.draw(looked.model, config.plant, config, config.cloud, "mechanism", "cloud", 2)
     (function,) = draws.functions
-    controller = looked.shape.policy(looked.policy)
-    matrix, weights = probes.multiplied_out(controller)
+    policy = looked.shape.policy(looked.policy)
+    matrix, weights = probes.multiplied_out(policy)
     state = draws.start
     for t in range(config.plant.steps):
         state = state + function(probes.act(state, matrix, weights, config.plant.force_limit, True))

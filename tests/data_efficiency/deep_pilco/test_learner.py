@@ -62,10 +62,10 @@ def test_record_holds_consistent_trials(finished):
     assert not record["model_repairs"].any()
 
 
-def test_the_recorded_controller_gives_the_recorded_forces(finished):
+def test_the_recorded_policy_gives_the_recorded_forces(finished):
     record = finished.result()
-    controller = finished.shape.policy(torch.from_numpy(record["policy"][:, 0]).double())
-    again = force(controller, SHORT.plant, finished.log["observed"][:, 1, :-1])
+    policy = finished.shape.policy(torch.from_numpy(record["policy"][:, 0]).double())
+    again = force(policy, SHORT.plant, finished.log["observed"][:, 1, :-1])
     np.testing.assert_allclose(again.numpy(), record["forces"][:, 1], rtol=0, atol=1e-4)
 
 
@@ -139,7 +139,7 @@ def test_every_variant_runs(finished, change):
     assert not record["model_repairs"].any()
 
 
-def test_a_controller_that_is_lost_is_redrawn_and_counted():
+def test_a_policy_that_is_lost_is_redrawn_and_counted():
     process = experiment.start(SHORT, (100, 101), precision="float64")
     process.advance()
     process.policy[1] = math.nan

@@ -56,9 +56,9 @@ class TestLinearGaussian:
         self.start = torch.tensor(PLANT.start_mean, dtype=torch.float64) + 0.2 * white[:, 0]
         change = torch.cat((self.A.T - torch.eye(4), torch.zeros(1, 4)))[None]  # rows: the state, then the force
         function = DrawnFunction((change,), (torch.zeros(1, 1, 4).double(),), angle_features=False)
-        controller = SHAPE.policy(policies((100,)))
+        policy = SHAPE.policy(policies((100,)))
         draws = Draws(self.start, (function,), white[:, 1:])
-        return particles.predict(controller, replace(PLANT, steps=steps), draws, matching)
+        return particles.predict(policy, replace(PLANT, steps=steps), draws, matching)
 
     def test_full_matching_gives_the_exact_moments(self):
         found = self.predict("full")
@@ -83,13 +83,13 @@ class TestLinearGaussian:
         torch.testing.assert_close(found.particles[:, -1], expected, rtol=1e-9, atol=1e-9)
 
 
-def particle_by_particle(made, masks, controller, start, noise, matching):
+def particle_by_particle(made, masks, policy, start, noise, matching):
     """Return means, variances and particles of one replica, in loops over particles and NumPy moments."""
     states, means, variances, visited = start.clone(), [], [], []
     for t in range(PLANT.steps):
         moved = []
         for k in range(len(states)):
-            u = force(controller, PLANT, states[None, k])
+            u = force(policy, PLANT, states[None, k])
             x = torch.cat((features(states[k]), u))[None, None]
             one = tuple(m if m is None else m[:, k : k + 1] for m in masks)
             y = made.net((x - made.input_mean) / made.input_std, one) * made.target_std + made.target_mean
@@ -112,10 +112,10 @@ def particle_by_particle(made, masks, controller, start, noise, matching):
 @pytest.mark.parametrize("matching", particles.MATCHING)
 def test_predictions_equal_particles_moved_one_by_one(matching):
     made = model((100,))
-    draws, controller = draws_of(made, PLAN, 3), SHAPE.policy(policies((100,)))
-    found = particles.predict(controller, PLANT, draws, matching)
+    draws, policy = draws_of(made, PLAN, 3), SHAPE.policy(policies((100,)))
+    found = particles.predict(policy, PLANT, draws, matching)
     masks = made.draw(PLAN.particles, 3)
-    expected = particle_by_particle(made, masks, controller, draws.start[0], draws.noise[0], matching)
+    expected = particle_by_particle(made, masks, policy, draws.start[0], draws.noise[0], matching)
     for got, want in zip((found.mean, found.variance, found.particles), expected, strict=True):
         np.testing.assert_allclose(got[0].detach().numpy(), want, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(found.costs(PLANT)[0], cost(PLANT, torch.from_numpy(expected[2])).mean(-1))
@@ -220,7 +220,7 @@ def test_particles_start_from_the_start_distribution():
 
 
 @pytest.mark.parametrize("optimiser", planning.OPTIMISERS)
-def test_the_controller_improves(optimiser, monkeypatch):
+def test_the_policy_improves(optimiser, monkeypatch):
     """A particle that moves as it is pushed is to be brought under the goal: swing-up reduced to a cart."""
     change = torch.zeros(2, 5, 4, dtype=torch.float64)
     change[:, 4, 0] = 0.05  # the force moves the cart
@@ -283,7 +283,7 @@ class TestGuard:
         best, redraws = planning.guarded(model((100, 101, 102)), PLANT, SHAPE, PLAN, first, fresh, above, 5)
         return best.parameters[:, 0].tolist(), best.value.tolist(), redraws.tolist(), calls
 
-    def test_only_hopeless_controllers_are_redrawn_and_the_better_is_kept(self, monkeypatch):
+    def test_only_hopeless_policies_are_redrawn_and_the_better_is_kept(self, monkeypatch):
         kept, value, redraws, calls = self.search(
             monkeypatch, {0: [0.5, 0.95, 0.99], 1: [0.0, 0.6, 1.0], 2: [0.0, 0.0, 0.97]}
         )
@@ -292,30 +292,30 @@ class TestGuard:
         assert redraws == [0, 1, 2]
         assert calls == [((100, 101, 102), 0), ((101, 102), 1), ((102,), 2)]
 
-    def test_a_controller_without_a_value_is_redrawn(self, monkeypatch):
+    def test_a_policy_without_a_value_is_redrawn(self, monkeypatch):
         kept, *_ = self.search(monkeypatch, {0: [0.5, 0.5, math.nan], 1: [0, 0, 0.8], 2: [0, 0, 0.7]})
         assert kept == [0, 0, 1]
 
-    def test_a_good_controller_is_not_redrawn(self, monkeypatch):
+    def test_a_good_policy_is_not_redrawn(self, monkeypatch):
         _, _, redraws, calls = self.search(monkeypatch, {0: [0.5, 0.5, 0.5]})
         assert redraws == [0, 0, 0]
         assert len(calls) == 1
 
 
-def test_first_controllers_cover_the_states_around_the_hanging_pole():
+def test_first_policies_cover_the_states_around_the_hanging_pole():
     shape = RBFShape(400)
-    controller = shape.policy(shape.initial(SPREAD, 0.5, generator(100))[None])
-    np.testing.assert_allclose(controller.centres[0].mean(0), [0, 0, 0, 0, -1], atol=0.5)
-    np.testing.assert_allclose(controller.centres[0].std(0), SPREAD, rtol=0.15)
-    np.testing.assert_allclose(controller.log_length_scales[0, 0].exp(), SPREAD)
-    assert controller.weights.std() == pytest.approx(0.5, rel=0.15)
+    policy = shape.policy(shape.initial(SPREAD, 0.5, generator(100))[None])
+    np.testing.assert_allclose(policy.centres[0].mean(0), [0, 0, 0, 0, -1], atol=0.5)
+    np.testing.assert_allclose(policy.centres[0].std(0), SPREAD, rtol=0.15)
+    np.testing.assert_allclose(policy.log_length_scales[0, 0].exp(), SPREAD)
+    assert policy.weights.std() == pytest.approx(0.5, rel=0.15)
 
 
 @pytest.mark.parametrize("angle_features", [True, False])
 def test_particles_are_steered_as_the_real_cart(angle_features):
-    controller, states = SHAPE.policy(policies()), 2 * normal(2, 9, 4)
-    got = particles.act(states, *particles.multiplied_out(controller), 10.0, angle_features)
-    torch.testing.assert_close(got[..., -1], force(controller, PLANT, states), rtol=1e-9, atol=1e-9)
+    policy, states = SHAPE.policy(policies()), 2 * normal(2, 9, 4)
+    got = particles.act(states, *particles.multiplied_out(policy), 10.0, angle_features)
+    torch.testing.assert_close(got[..., -1], force(policy, PLANT, states), rtol=1e-9, atol=1e-9)
     assert torch.equal(got[..., :-1], features(states) if angle_features else states)
 
 

@@ -75,10 +75,10 @@ def test_models_learn_from_every_transition_seen(finished):
     torch.testing.assert_close(finished.inputs[1, 15, 5], torch.tensor(record["forces"][1, 2, 3]))
 
 
-def test_the_recorded_controller_gives_the_recorded_forces(finished):
+def test_the_recorded_policy_gives_the_recorded_forces(finished):
     record = finished.result()
-    controller = finished.shape.policy(torch.from_numpy(record["policy"][:, 2]).double())
-    again = force(controller, SHORT.plant, torch.from_numpy(record["observed"][:, 2, :-1]).double())
+    policy = finished.shape.policy(torch.from_numpy(record["policy"][:, 2]).double())
+    again = force(policy, SHORT.plant, torch.from_numpy(record["observed"][:, 2, :-1]).double())
     np.testing.assert_allclose(again.numpy(), record["forces"][:, 2], rtol=0, atol=2e-2)
 
 
@@ -156,7 +156,7 @@ def test_inducing_inputs_come_into_use():
     assert np.isfinite(process.result()["costs"]).all()
 
 
-def test_a_controller_that_cannot_be_evaluated_is_redrawn_and_counted(finished):
+def test_a_policy_that_cannot_be_evaluated_is_redrawn_and_counted(finished):
     process = learner.start(SHORT, (100, 101))
     process.advance()
     process.policy[1] = math.nan
@@ -196,7 +196,7 @@ def no_constants():
 def test_models_are_evaluated_on_their_device_and_all_else_stays_on_the_cpu(monkeypatch, inducing):
     """Shown without a GPU: on another device, whose tensors hold no numbers but do not mix with the CPU's.
 
-    What is done about NaN (a controller redrawn, a fit begun anew, jitter) is not run here.
+    What is done about NaN (a policy redrawn, a fit begun anew, jitter) is not run here.
     """
     config = replace(SHORT, plant=replace(SHORT.plant, steps=3), trials=1, inducing=inducing)
     evaluated = []
@@ -232,7 +232,7 @@ def test_record_says_where_the_computing_time_went(tmp_path):
     origin = execute.run_unit(unit, tmp_path).header["provenance"]
     parts = {name: origin[f"{name}_cpu_s"] for name in ("model", "gradients", "policy", "trial")}
     assert {len(part) for part in parts.values()} == {SHORT.trials + 1}
-    assert parts["model"][0] == parts["policy"][0] == 0  # the random trial needs neither model nor controller
+    assert parts["model"][0] == parts["policy"][0] == 0  # the random trial needs neither model nor policy
     assert min(parts["policy"][1:]) > 0
     assert sum(map(sum, parts.values())) <= origin["cpu_s"] + 0.1
 

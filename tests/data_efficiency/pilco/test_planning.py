@@ -26,7 +26,7 @@ def model_of(case):
     return GaussianProcess((case["inputs"] * TURN)[None], targets, hyper, inducing).posterior()[0]
 
 
-def controller_of(hyp, inputs, targets):
+def policy_of(hyp, inputs, targets):
     return RBFPolicy.from_targets((inputs * TURN[:5])[None], hyp[:5].T[None], targets.T[None])
 
 
@@ -39,7 +39,7 @@ def test_one_predicted_step_matches_the_original(golden, derivatives, close, num
 
     def step(m, s, *parameters):
         state = Gaussian(m[None], (s + s.mT)[None] / 2)
-        return tuple(a[0] for a in planning.propagate(model, controller_of(*parameters), limit, state))
+        return tuple(a[0] for a in planning.propagate(model, policy_of(*parameters), limit, state))
 
     mean, cov = step(m, s, *parameters)
     close(mean - HALF_TURN, case["M"], name="M")
@@ -62,7 +62,7 @@ def check_value(case, close, value_tolerance, gradient_tolerance):
     parameters = [case[f"pol_{name}"].clone().requires_grad_() for name in ("hyp", "inputs", "targets")]
     start = Gaussian((case["m0"][:, 0] + HALF_TURN)[None], case["S0"][None])
     horizon = int(case["H"])
-    states = planning.predict(model_of(case), controller_of(*parameters), MATLAB, start, horizon)
+    states = planning.predict(model_of(case), policy_of(*parameters), MATLAB, start, horizon)
     costs = planning.expected_costs(MATLAB, states)[0]
     total = (costs * case["gamma"] ** torch.arange(1, horizon + 1)).sum()
     close(total, case["J"], value_tolerance, "J")
@@ -85,7 +85,7 @@ def test_predicted_trials_with_trained_models_match_the_original(golden, close, 
 
 
 def toy(replicas=2, count=30, basis=4, seed=100):
-    """A model learnt from a few random transitions of a short trial, and parameters of a controller."""
+    """A model learnt from a few random transitions of a short trial, and parameters of a policy."""
     g = generator(seed)
     plant = replace(PAPER, steps=5, start_std=0.1)
     inputs = torch.randn(replicas, count, 6, generator=g, dtype=torch.float64)
@@ -108,13 +108,13 @@ def test_objective_has_the_right_gradient():
 
 def test_one_step_agrees_with_brute_force_particles():
     model, plant, shape, parameters = toy()
-    controller = shape.policy(parameters)
+    policy = shape.policy(parameters)
     start = planning.start_distribution(plant, 2)
     start = Gaussian(start.mean - 2.0, start.cov)
-    predicted = planning.propagate(model, controller, plant.force_limit, start)
+    predicted = planning.propagate(model, policy, plant.force_limit, start)
     noise = torch.randn(2, 20_000, 4, generator=generator(102), dtype=torch.float64)
     states = start.mean[:, None] + plant.start_std * noise
-    inputs = torch.cat((features(states), policies.force(controller, plant, states)[..., None]), -1)
+    inputs = torch.cat((features(states), policies.force(policy, plant, states)[..., None]), -1)
     moved = states + model(inputs)
     error = moved.std(1) / math.sqrt(moved.shape[1])
     # features and force are matched by a Gaussian, so agreement is close, not exact
@@ -150,12 +150,12 @@ def test_gradients_by_step_sum_to_that_of_the_objective():
 
 def test_a_trial_without_doubt_follows_the_model_s_mean():
     model, plant, shape, parameters = toy()
-    controller, start = shape.policy(parameters), planning.start_distribution(plant, 2)
-    points = planning.predict_points(model, controller, plant, start.mean)
+    policy, start = shape.policy(parameters), planning.start_distribution(plant, 2)
+    points = planning.predict_points(model, policy, plant, start.mean)
     certain = Gaussian(start.mean, torch.zeros_like(start.cov))
-    after = planning.propagate(model, controller, plant.force_limit, certain).mean
-    torch.testing.assert_close(points[:, 1], after, rtol=0, atol=1e-4)  # the controller adds a small variance
-    again = planning.predict_points(model, controller, replace(plant, steps=1), points[:, 1])
+    after = planning.propagate(model, policy, plant.force_limit, certain).mean
+    torch.testing.assert_close(points[:, 1], after, rtol=0, atol=1e-4)  # the policy adds a small variance
+    again = planning.predict_points(model, policy, replace(plant, steps=1), points[:, 1])
     torch.testing.assert_close(again[:, 1], points[:, 2])
 
 

@@ -108,7 +108,7 @@ def test_step_has_the_right_gradient():
     assert torch.autograd.gradcheck(lambda s, u: cartpole.step(MATLAB, s, u, 4), (state, force.requires_grad_()))
 
 
-def test_rollout_hands_the_same_noisy_states_to_the_controller_and_clips_forces():
+def test_rollout_hands_the_same_noisy_states_to_the_policy_and_clips_forces():
     start = cartpole.start_states(PAPER, (3,), generator(100, "start"))
     noise = cartpole.observation_noise(PAPER, (3, PAPER.steps + 1), generator(100, "noise"))
     seen = []

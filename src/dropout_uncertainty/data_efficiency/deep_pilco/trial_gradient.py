@@ -1,7 +1,7 @@
-"""The predicted cost of a controller and its gradient, worked out by hand for the common settings of algorithm 4.
+"""The predicted cost of a policy and its gradient, worked out by hand for the common settings of algorithm 4.
 
 Autograd goes through some sixty arrays a step and back. Here whatever needs no order in time is done for all steps at
-once, before and after the two loops: the costs, the slopes of the force, the gradients of the controller's parameters.
+once, before and after the two loops: the costs, the slopes of the force, the gradients of the policy's parameters.
 What is left in the loops is the network, forward and back, and moments of four numbers. Arrays of states have the
 particles K last, where they are contiguous.
 """
@@ -21,9 +21,9 @@ from dropout_uncertainty.data_efficiency.gaussians.moments import identity
 from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole
 
 ACTIVATION = {"relu": torch.relu_, "sigmoid": torch.sigmoid_}
-# Rows of `_Trial.inputs`: the network is given the first six, the controller all but the first.
+# Rows of `_Trial.inputs`: the network is given the first six, the policy all but the first.
 FORCE, SEEN, SQUARES, ONE = slice(0, 1), slice(1, 6), slice(6, 11), slice(11, 12)
-NETWORK, CONTROLLER = slice(0, 6), slice(1, 12)
+NETWORK, POLICY = slice(0, 6), slice(1, 12)
 
 
 def covers(draws: Draws, matching: str, cost_of: str) -> bool:
@@ -42,7 +42,7 @@ def value_and_gradient(
     """Return the mean cost over particles and times 1 ... T, and its gradients in ``matrix`` and ``weights``.
 
     Args:
-        matrix: with ``weights``, the controller as `particles.multiplied_out` returns it.
+        matrix: with ``weights``, the policy as `particles.multiplied_out` returns it.
         weights: see there.
         plant: constants, number of steps and limit of the force.
         draws: the random numbers of the trial.
@@ -53,7 +53,7 @@ def value_and_gradient(
     in_force = _forward_slopes(trial, matrix, weights, plant.force_limit)
     force_gradient = _backward(trial, slope, in_force, draws, networks)
     # The output u is a sum over basis functions, so one product gives the gradient in both arrays.
-    in_output = trial.inputs[:, CONTROLLER] * (force_gradient * _force_slope(trial.output, plant.force_limit))
+    in_output = trial.inputs[:, POLICY] * (force_gradient * _force_slope(trial.output, plant.force_limit))
     gradient = in_output.flatten(2) @ trial.heights.flatten(1, 2)
     gradient, value = (x.masked_fill(trial.failed.view(-1, *(1,) * (x.ndim - 1)), torch.nan) for x in (gradient, value))
     return value, gradient * weights.mT, gradient[:, -1:].mT
@@ -90,7 +90,7 @@ class _Trial:
     states: Float[Tensor, "times R 4 K"]
     inputs: Float[Tensor, "R 12 T K"]
     heights: Float[Tensor, "R T K N"]  # of the basis functions
-    output: Float[Tensor, "R 1 T K"]  # of the controller, before the squash
+    output: Float[Tensor, "R 1 T K"]  # of the policy, before the squash
     centred: Float[Tensor, "T R 4 K"]
     factor: Float[Tensor, "T R 4 4"]
     failed: Bool[Tensor, " R"]  # a covariance had no factor
@@ -145,7 +145,7 @@ class _Trial:
         torch.sin(state[:, 3:], out=seen[:, 3:4])
         torch.cos(state[:, 3:], out=seen[:, 4:])
         torch.mul(seen, seen, out=rows[:, SQUARES])
-        height = torch.exp(torch.bmm(rows[:, CONTROLLER].mT, matrix), out=self.heights[:, t])
+        height = torch.exp(torch.bmm(rows[:, POLICY].mT, matrix), out=self.heights[:, t])
         output = torch.bmm(weights, height.mT)
         self.output[:, :, t] = output
         sine = output.sin_()

@@ -52,7 +52,7 @@ TRIALS = (1, 5, 7, 10, 15, 20, 25, 26, 40)
 #: A repetition keeps its solution if at least this share of the trials after the first solved one are solved.
 KEPT = 0.8
 #: What computing time is shown of, as the records call it and in words.
-TIMED = {"model": "model", "policy": "search for the controller", "trial": "trial of the plant"}
+TIMED = {"model": "model", "policy": "search for the policy", "trial": "trial of the plant"}
 #: Panels of Figure 5.8: trials of data that the model had seen.
 PANELS = (1, 10, 20, 26)
 #: Trials over which statement DE11 is judged: those before most repetitions are solved.
@@ -236,10 +236,10 @@ def excess_on_predictable(learning: Learning, trials: Sequence[int] = LATER) -> 
 
 
 def repeats(learning: Learning, trial: int) -> Float[np.ndarray, "R M times 4"]:
-    """Return the true states of a trial of Deep PILCO and of further trials of its controller (green in Figure 5.8).
+    """Return the true states of a trial of Deep PILCO and of further trials of its policy (green in Figure 5.8).
 
     Raises:
-        ValueError: if the controller of that trial was not kept.
+        ValueError: if the policy of that trial was not kept.
     """
     shown = [int(i) for i in learning.arrays["shown"]]
     if trial not in shown:
@@ -249,7 +249,7 @@ def repeats(learning: Learning, trial: int) -> Float[np.ndarray, "R M times 4"]:
 
 
 def steps_predicted(learning: Learning, trial: int) -> Float[np.ndarray, " R"]:
-    """Return for how many steps from the start the true trials of a controller went as the model had said.
+    """Return for how many steps from the start the true trials of a policy went as the model had said.
 
     A step counts if the true angle is within two standard deviations of the prediction and that prediction says
     something: a standard deviation of the angle moves the tip by less than the width of the cost. Mean over the trials
@@ -263,7 +263,7 @@ def steps_predicted(learning: Learning, trial: int) -> Float[np.ndarray, " R"]:
 
 
 def steps_held(learning: Learning, trial: int) -> Float[np.ndarray, " R"]:
-    """Return for how many steps the pole stood, at the mean over the true trials of a controller.
+    """Return for how many steps the pole stood, at the mean over the true trials of a policy.
 
     It stands where the cost of a step is below the bound that a solved trial has to keep.
     """
@@ -271,7 +271,7 @@ def steps_held(learning: Learning, trial: int) -> Float[np.ndarray, " R"]:
 
 
 def share_solved(learning: Learning, trial: int) -> Float[np.ndarray, " R"]:
-    """Return the share of the true trials of a controller that were solved."""
+    """Return the share of the true trials of a policy that were solved."""
     return cost.solved(learning.plant, _repeated_costs(learning, trial)).double().mean(1).numpy()
 
 
@@ -360,7 +360,7 @@ def _fitting_results(learning: Learning, name: str) -> list[Result]:
     return [
         measured(
             f"{name}/{kind}-after-{trial}", interval, learning.records,
-            unit=unit, statistic=f"{words}, controller after {trial} trials", config=learning.config,
+            unit=unit, statistic=f"{words}, policy after {trial} trials", config=learning.config,
         )
         for trial in PANELS if trial <= learning.trials
         for kind, unit, words, interval in fitting(learning, trial)

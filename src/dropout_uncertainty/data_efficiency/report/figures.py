@@ -222,7 +222,7 @@ def solved_over_trials(ax: Axes, learnings: Sequence[Learning], *, ever: bool) -
 
 
 def figure_5_8(axes: Sequence[Axes], learning: Learning, trials: Sequence[int], replica: int) -> None:
-    """Draw Figure 5.8, one panel per trial: the predicted angle in blue, true trials of the controller in green.
+    """Draw Figure 5.8, one panel per trial: the predicted angle in blue, true trials of the policy in green.
 
     Prediction: mean and two standard deviations, by the model that has seen as many trials as the title says. Dotted
     lines are upright: 0 and every full turn.

@@ -164,7 +164,7 @@ def objective(ax: Axes, seen: Inside) -> Axes:
 
 
 def optimisers(ax: Axes, seen: Inside) -> Axes:
-    """Draw what each search said it had reached, and what its controllers cost on particles it has not seen."""
+    """Draw what each search said it had reached, and what its policies cost on particles it has not seen."""
     for row, (optimiser, words) in enumerate(OPTIMISER_WORDS.items()):
         said, fresh = (t_interval(seen.objective(optimiser, fresh=f).mean(1)) for f in (False, True))
         ax.annotate("", (fresh.value, row), (said.value, row), arrowprops={"arrowstyle": "->", "color": "#999999"})

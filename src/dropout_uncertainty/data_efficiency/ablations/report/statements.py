@@ -113,7 +113,7 @@ SENSITIVITY = {
     "dropout probability": ("dropout-half", "dropout-twice"),
     "length-scale": ("length-scale-half", "length-scale-twice"),
     "network's learning rate": ("model-rate-half", "model-rate-twice"),
-    "controller's learning rate": ("policy-rate-half", "policy-rate-twice"),
+    "policy's learning rate": ("policy-rate-half", "policy-rate-twice"),
     "number of particles": ("particles-third",),
 }
 CHANGED = {"half": "halved", "twice": "doubled", "third": "cut to a third"}
