@@ -104,7 +104,8 @@ def test_what_was_found_stands_beside_a_coin():
 #: What the published records say where the page's prose was written for it. Where this changes, read the page again.
 PINNED = {
     "EX3c": "contradicted", "EX7a": "inconclusive", "EX7b": "contradicted", "EX7c": "contradicted",
-    "EX7d": "contradicted", "EX7e": "supported", "EX7h": "contradicted", "EX9": "contradicted", "EX9b": "no difference",
+    "EX7d": "contradicted", "EX7e": "supported", "EX7f": "contradicted", "EX7g": "contradicted", "EX7h": "contradicted",
+    "EX7i": "contradicted", "EX9": "contradicted", "EX9b": "no difference",
 }  # fmt: skip
 
 

@@ -125,6 +125,13 @@ READINGS: dict[str, dict[Verdict, str]] = {
         "inconclusive": "So the footnote's reason stays open.",
         "untested": "So the footnote's reason stays open.",
     },
+    "EX7f": {
+        "supported": "So its lead is more than one over ε-greedy's schedule.",
+        "contradicted": "So its lead in the thesis is over a long schedule: with a shorter one ε-greedy leads.",
+        "no difference": "So its lead over ε-greedy in the thesis is one over ε-greedy's schedule.",
+        "inconclusive": "So these runs leave open whether its lead is more than one over ε-greedy's schedule.",
+        "untested": "So whether its lead is more than one over ε-greedy's schedule is still open.",
+    },
     "EX9": {
         "supported": "So a draw of dropout that is held explores better than ε-greedy.",
         "contradicted": "So holding a draw is not enough: it matters what is drawn.",

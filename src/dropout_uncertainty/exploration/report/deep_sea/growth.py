@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import norm
+from scipy.special import erfcx
 
 from dropout_uncertainty.exploration.report.deep_sea.dives import Seas
 from dropout_uncertainty.stats import Interval, bootstrap_interval
@@ -21,8 +21,8 @@ FORMS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "exponential": lambda size: np.log(2.0) * size,
     "power": lambda size: np.log(size),
 }
-#: Newton steps, and the decrement above which they are shortened; it takes about ten.
-STEPS, FAR = 30, 0.25
+#: Newton steps at most, the decrement above which they are shortened, and the one at which they end.
+STEPS, FAR, NEAR = 30, 0.25, 1e-10
 #: Keeps the information invertible where samples fit a line exactly.
 RIDGE = 1e-9
 
@@ -65,20 +65,26 @@ def censored_slopes(
 def _slopes(x: np.ndarray, y: np.ndarray, exact: np.ndarray, weights: np.ndarray) -> Float[np.ndarray, " B"]:
     """Return the slopes of weighted points [B, n]; residuals are ``rows`` times (a/σ, k/σ, 1/σ)."""
     rows = np.stack([-np.ones_like(x), -x, y], axis=1)
-    squares = (rows[:, :, None] * rows[:, None, :]).reshape(-1, 9)
-    fitted = (weights[:, exact] @ squares[exact]).reshape(-1, 3, 3)
-    bounds, of_bounds, bound_squares = rows[~exact], weights[:, ~exact], squares[~exact]
+    fitted = (weights[:, exact] @ _squares(rows[exact])).reshape(-1, 3, 3)
+    bounds, same = np.unique(rows[~exact], axis=0, return_inverse=True)  # runs end after the same episode: few differ
+    of_bounds, squares = weights[:, ~exact] @ np.eye(len(bounds))[same], _squares(bounds)
     count = weights[:, exact].sum(1)
     theta = np.tile([y.mean() / y.std(), 0.0, 1.0 / y.std()], (len(weights), 1))
     for _ in range(STEPS):
         z = theta @ bounds.T
-        hazard = np.exp(norm.logpdf(z) - norm.logsf(z))
+        hazard = np.sqrt(2 / np.pi) / erfcx(z / np.sqrt(2))
         gradient = -np.einsum("bij,bj->bi", fitted, theta) - (of_bounds * hazard) @ bounds
         gradient[:, 2] += count / theta[:, 2]
-        information = fitted + ((of_bounds * hazard * (hazard - z)) @ bound_squares).reshape(-1, 3, 3)
+        information = fitted + ((of_bounds * hazard * (hazard - z)) @ squares).reshape(-1, 3, 3)
         information = information + RIDGE * np.eye(3)
         information[:, 2, 2] += count / theta[:, 2] ** 2
         step = np.linalg.solve(information, gradient[..., None])[..., 0]
         decrement = np.sqrt(np.maximum((gradient * step).sum(1), 0))
         theta += step / np.where(decrement > FAR, 1 + decrement, 1.0)[:, None]
+        if decrement.max(initial=0.0) < NEAR:
+            break
     return theta[:, 1] / theta[:, 2]
+
+
+def _squares(rows: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 9"]:
+    return (rows[:, :, None] * rows[:, None, :]).reshape(-1, 9)
