@@ -33,7 +33,7 @@ def test_passes_gymnasiums_checker(make, preset):
 @pytest.mark.parametrize("preset", sorted(cartpole.PRESETS))
 @pytest.mark.parametrize("fastest", [0.0, 10.0, 35.0])
 def test_a_step_in_floats_is_that_of_the_plant(make, preset, fastest):
-    from dropout_uncertainty.data_efficiency.plant.environment import step
+    from dropout_uncertainty.data_efficiency.plant.extrapolation import step
 
     plant, g, count = cartpole.preset(preset), generator(100, "states"), 200
     spread = torch.tensor([2.0, 4.0, 0.0, 3.0], dtype=torch.float64)

@@ -1,13 +1,13 @@
 """The cart-pole swing-up as a Gymnasium environment, for learners from elsewhere; needs the extra ``gym``."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from dropout_uncertainty import rendering
 from dropout_uncertainty.data_efficiency.plant import cartpole, drawing
+from dropout_uncertainty.data_efficiency.plant.extrapolation import State, step
 from dropout_uncertainty.errors import UserError
 
 try:
@@ -16,50 +16,7 @@ try:
 except ImportError as missing:
     raise UserError("the environment needs Gymnasium, which is not installed: pip install 'gymnasium>=1'") from missing
 
-__all__ = ["CartPoleSwingUp", "step"]
-
-
-State = tuple[float, float, float, float]
-# Pieces that a control interval is cut into, at rest and more for each rad/s of the pole's first angular velocity: over
-# random states with up to 35 rad/s the error of an interval stays below 1e-6.
-PIECES, PIECES_PER_SPEED = 10, 0.4
-
-
-def step(plant: cartpole.CartPole, state: State, force: float) -> State:
-    """Return what `cartpole.step` returns, for one state in plain floats: within 1e-6, some hundred times faster.
-
-    Gragg's midpoint rule goes through each piece of the interval in 2, 4 and 6 parts, and the three ends are
-    extrapolated to infinitely many: order 6 (Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I,
-    section II.9).
-    """
-    gravity, friction, length = plant.gravity, plant.friction, plant.pole_length
-    rod, total = 3 * plant.pole_mass, plant.cart_mass + plant.pole_mass
-
-    def slope(v: float, w: float, theta: float) -> tuple[float, float]:
-        sin, cos = math.sin(theta), math.cos(theta)
-        pull, turn = force - friction * v, rod * length * w * w * sin
-        denominator = 4 * total - rod * cos * cos
-        dv = (rod * gravity * sin * cos + 4 * pull - 2 * turn / 3) / denominator
-        return dv, ((6 * pull - turn) * cos + 6 * total * gravity * sin) / (length * denominator)
-
-    pieces = PIECES + int(PIECES_PER_SPEED * abs(state[2]))
-    for _ in range(pieces):
-        first = slope(*state[1:])
-        ends = (_midpoint(slope, state, first, parts, plant.dt / pieces / parts) for parts in (2, 4, 6))
-        x, v, w, theta = (a / 24 - 16 * b / 15 + 81 * c / 40 for a, b, c in zip(*ends, strict=True))
-        state = x, v, w, theta
-    return state
-
-
-def _midpoint(slope: Callable, state: State, first: tuple[float, float], parts: int, h: float) -> State:
-    """Return the state after so many parts of length h, from that and the slope of both velocities at the start."""
-    a, b, c, d = state  # one part before (x, v, w, theta)
-    x, v, w, theta = a + h * b, b + h * first[0], c + h * first[1], d + h * c
-    h *= 2
-    for _ in range(parts - 1):
-        dv, dw = slope(v, w, theta)
-        a, b, c, d, x, v, w, theta = x, v, w, theta, a + h * v, b + h * dv, c + h * dw, d + h * w
-    return x, v, w, theta
+__all__ = ["CartPoleSwingUp"]
 
 
 class CartPoleSwingUp(gymnasium.Env):
@@ -68,7 +25,7 @@ class CartPoleSwingUp(gymnasium.Env):
     Observation: the noisy state (x [m], v [m/s], w [rad/s], theta [rad], 0 upright, not wrapped). Action: the force
     as a share of the plant's limit, in [-1, 1]. Reward: 1 - cost of the true next state, in [0, 1]. The episode is
     truncated after the plant's number of steps and never terminates before. ``info["state"]`` is the true state.
-    The plant moves as that of the learners does, within 1e-6 a step (`step`).
+    The plant moves as that of the learners does, within 1e-6 a step (`extrapolation.step`).
 
     Args:
         plant: a name in ``cartpole.PRESETS`` or a plant of your own.

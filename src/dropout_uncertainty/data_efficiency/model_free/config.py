@@ -1,0 +1,88 @@
+"""Settings of the learners without a model, and where they stand in the papers."""
+
+from dataclasses import asdict, dataclass, field
+
+from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole
+from dropout_uncertainty.settings import tidy
+
+__all__ = ["DDPG_AS_PRINTED", "NAF_AS_PRINTED", "ModelFreeConfig"]
+
+
+@dataclass(frozen=True)
+class ModelFreeConfig:
+    """One learner on the cart-pole; defaults are those of DDPG as printed.
+
+    "DDPG" is Lillicrap et al. (2015), experiment details; "NAF" is Gu et al. (2016). Both papers have other cart-poles,
+    so plant, length and end of a run are ours.
+    """
+
+    method: str = "ddpg"
+    """Learner: "ddpg" or "naf"."""
+    plant: CartPole = field(default_factory=lambda: PAPER)
+    """The cart-pole of Deep PILCO: the same start states, steps, force limit and cost."""
+    trials: int = 2_500
+    """Trials at most."""
+    test_every: int = 10
+    """Every so many trials one is without noise; it counts for "solved" and for the curves."""
+    solved_tests: int = 3
+    """A repetition ends after so many solved tests in a row."""
+    hidden: tuple[int, ...] = (400, 300)
+    """Widths of the hidden layers (DDPG: 400 and 300, NAF: 200 and 200)."""
+    normalise: bool = True
+    """Batch normalisation of inputs and hidden layers, of Q only before the action comes in (DDPG)."""
+    scale: tuple[float, ...] = (1.0, 2.0, 4.0, 0.7, 0.7)
+    """What x, v, w, sin θ and cos θ are divided by: the spreads of Deep PILCO's first policies; ours."""
+    time_input: bool = False
+    """Whether the share of the trial that is over is a further input; not in the papers."""
+    end_is_terminal: bool = False
+    """Whether nothing is expected behind a trial's last step, which ends by time alone; not so in the papers."""
+    policy_rate: float = 1e-4
+    """Adam's step size for the policy (DDPG)."""
+    value_rate: float = 1e-3
+    """Adam's step size for Q (DDPG), or for the one network (NAF: searched in 1e-4, 1e-3, 1e-2)."""
+    value_decay: float = 1e-2
+    """L2 decay of Q's parameters (DDPG)."""
+    discount: float = 0.99
+    """γ (DDPG, NAF)."""
+    follow: float = 1e-3
+    """τ, with which target networks follow (DDPG, NAF)."""
+    batch: int = 64
+    """Transitions of a learning step (DDPG)."""
+    memory: int = 1_000_000
+    """Transitions that are remembered (DDPG)."""
+    updates: int = 1
+    """Learning steps per step of the plant (DDPG: 1, NAF: 5)."""
+    noise_return: float = 0.15
+    """θ of the Ornstein–Uhlenbeck noise, by which it returns to 0 in a step (DDPG)."""
+    noise_std: float = 0.2
+    """σ, what comes in in a step, as a share of the force limit (DDPG; NAF: searched in 0.1, 0.3, 1)."""
+
+    def __post_init__(self) -> None:
+        tidy(self)
+        if self.method not in ("ddpg", "naf"):
+            raise ValueError(f"expected the method ddpg or naf, got {self.method!r}")
+        counts = {name: getattr(self, name) for name in ("trials", "test_every", "solved_tests", "updates")}
+        if min(counts.values()) < 1 or self.trials % self.test_every:
+            raise ValueError(f"expected positive numbers, and trials in whole blocks of test_every, got {counts}")
+        if self.batch < 2 or self.memory < self.batch:
+            raise ValueError(
+                f"expected minibatches of at least two transitions and a memory of one, got {asdict(self)}"
+            )
+        if not self.hidden or min(self.hidden) < 1 or (self.method == "ddpg" and len(self.hidden) < 2):
+            raise ValueError(
+                f"expected two or more hidden layers, the action joins behind the first, got {self.hidden}"
+            )
+        if len(self.scale) != 5 or min(self.scale) <= 0:
+            raise ValueError(f"expected five positive scales, one per feature, got {self.scale}")
+        if min(self.policy_rate, self.value_rate) <= 0 or min(self.value_decay, self.noise_std) < 0:
+            raise ValueError(f"expected positive step sizes, and a decay and noise of at least 0, got {asdict(self)}")
+        shares = {name: getattr(self, name) for name in ("discount", "follow", "noise_return")}
+        if not all(0 <= share <= 1 for share in shares.values()):
+            raise ValueError(f"expected shares between 0 and 1, got {shares}")
+
+
+DDPG_AS_PRINTED = ModelFreeConfig()
+#: Of the searched values the middle ones, until a search on development seeds has said which.
+NAF_AS_PRINTED = ModelFreeConfig(
+    method="naf", hidden=(200, 200), normalise=False, value_decay=0.0, updates=5, noise_std=0.3
+)
