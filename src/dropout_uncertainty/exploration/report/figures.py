@@ -70,7 +70,7 @@ def figure_5_4(ax: Axes, agents: Mapping[str, Curves], original: Mapping[str, Cu
                 )  # fmt: skip
         ax.plot(ours, TARGET, "o", color=COLOURS[agent])
     ax.set_ylim(bottom=0.2)  # room for the words
-    ax.legend(loc="upper left")
+    ax.legend(loc="lower left")
     return ax
 
 
