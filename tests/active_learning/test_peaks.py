@@ -75,7 +75,7 @@ def test_both_runs_are_compared_on_the_seeds_that_they_share():
 
 
 def test_statements_name_the_ranges_that_they_average_over():
-    found = {identifier: (names, reach) for identifier, _, names, reach in statements.ranges()}
+    found = {statement.id: (names, reach) for statement, _, names, reach in statements.ranges()}
     assert found["AL5b"] == (("random", "dropout/variation-ratios"), (100, 400))
     assert found["AL10a"] == (("random",), (880, 980))
     assert "AL11" not in found  # on the pools minibatches are of equal size
@@ -87,9 +87,9 @@ def test_what_a_peak_changes_in_a_mean_is_its_height_by_the_number_of_points(mon
     monkeypatch.setattr(peaks, "load_rows", lambda *_: rows)
     _, cells = peaks.touched()
     lines = {line[0]: line[1:] for line in cells}
-    assert lines["100 to 400"] == ["AL5a", "130, 260", "1.00 (AL5a)"]  # 31 points in the range
-    assert lines["960 to 980"] == ["AL5d", "none", None]
-    assert lines["880 to 980"] == ["AL10a AL10b", "900", "0.00 (AL10b)"]
+    assert lines["100 to 400"] == ["AL5a", "130, 260", "1.00 (AL5a)", 0.5]  # 31 points in the range
+    assert lines["960 to 980"] == ["AL5d", "none", None, 0.25]
+    assert lines["880 to 980"] == ["AL10a AL10b", "900", "0.00 (AL10a)", 0.1]
 
 
 def test_a_number_of_the_tables_that_rests_on_a_peak_is_named(monkeypatch):

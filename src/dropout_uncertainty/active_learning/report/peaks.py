@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from dropout_uncertainty.active_learning.experiment import OURS
 from dropout_uncertainty.active_learning.report import statements
 from dropout_uncertainty.active_learning.report.analysis import THRESHOLD, Row, load_rows, original_rows, paired_curves
+from dropout_uncertainty.judging.statements import Statement
 from dropout_uncertainty.page.tables import Words
 from dropout_uncertainty.stats import first_crossings, in_words, mean_estimate
 
@@ -73,7 +74,7 @@ def table(found: Mapping[str, Row]) -> tuple[list[str], list[list[object]]]:
 
 
 def _cell(heights: Float[np.ndarray, " R"] | None) -> str | None:
-    return None if heights is None else f"{in_words(mean_estimate(heights), '.1f')} ({len(heights)})"
+    return None if heights is None else f"{in_words(mean_estimate(heights), 'z.1f')} ({len(heights)})"
 
 
 def touched(folder: Path | None = None) -> tuple[list[str], list[list[object]]]:
@@ -82,20 +83,22 @@ def touched(folder: Path | None = None) -> tuple[list[str], list[list[object]]]:
     That is the largest change of a statement's number when each peak is replaced by the mean of its neighbours.
     """
     rows = load_rows("ours", folder)
-    found: dict[tuple[int, int], tuple[Row, list[tuple[float, str]]]] = {}
     flat = {name: flattened(row) for name, row in rows.items()}
-    for identifier, measure, names, reach in statements.ranges():
+    found: dict[tuple[int, int], list[tuple[float, Statement]]] = {}
+    for statement, measure, names, reach in statements.ranges():
         if set(names) <= rows.keys():
-            before, after = (measure(*(curves[name] for name in names)) for curves in (rows, flat))
-            change = abs(float(np.mean(before)) - float(np.mean(after)))
-            found.setdefault(reach, (rows[names[0]], []))[1].append((change, identifier))
+            before, after = (float(np.mean(measure(*(curves[name] for name in names)))) for curves in (rows, flat))
+            found.setdefault(reach, []).append((abs(before - after), statement))
     cells: list[list[object]] = []
-    for (start, stop), (row, changes) in sorted(found.items()):
-        acquired, identifiers = row.labels - row.labels[0], " ".join(identifier for _, identifier in changes)
-        peaks = row.labels[at_peaks(row.labels) & (acquired >= start) & (acquired <= stop)]
-        most = "{:.2f} ({})".format(*max(changes)) if len(peaks) else None
-        cells.append([f"{start} to {stop}", identifiers, ", ".join(map(str, peaks)) or "none", most])
-    return ["acquired", "statements", "peaks, at labels", "largest change without them [points]"], cells
+    for (start, stop), changes in sorted(found.items()):
+        labels = np.arange(start, stop + 1, OURS.acquired) + 10 * OURS.per_class
+        few = labels[last_minibatch(labels) <= FEW]
+        change, most = max(changes, key=lambda one: one[0])
+        cells.append([
+            f"{start} to {stop}", " ".join(statement.id for _, statement in changes),
+            ", ".join(map(str, few)) or "none", f"{change:.2f} ({most.id})" if len(few) else None, most.margin,
+        ])  # fmt: skip
+    return ["acquired", "statements", "peaks, at labels", "largest change without them [points]", "margin"], cells
 
 
 def in_tables(folder: Path | None = None) -> Words:

@@ -307,16 +307,15 @@ STATEMENTS: list[Statement] = [
 ]  # fmt: skip
 
 
-def ranges() -> Iterator[tuple[str, Callable[..., Any], tuple[str, ...], tuple[int, int]]]:
-    """Return what statements read off the curves of rows of the tables, and over which acquired points.
+def ranges() -> Iterator[tuple[Statement, Callable[..., Any], tuple[str, ...], tuple[int, int]]]:
+    """Return which statements read off the curves of rows of the tables, and over which acquired points.
 
-    The id, a function of the rows that gives a number for each seed, the names of these rows, and the range.
+    The statement, a function of the rows that gives a number for each seed, the names of these rows, and the range.
     """
     for statement in STATEMENTS:
         match statement.measure:
-            case partial(func=func, args=(first, second, acquired)) if (
-                func is curves and not statement.measure.keywords
-            ):
-                yield statement.id, partial(apart, acquired), (first, second), acquired
+            case partial(func=func, args=(first, second, acquired), keywords={**others}) if func is curves:
+                if not others:  # else it is about a pool
+                    yield statement, partial(apart, acquired), (first, second), acquired
             case partial(func=func, args=(name,)) if func is slope:
-                yield statement.id, rise, (name,), LAST
+                yield statement, rise, (name,), LAST
