@@ -246,6 +246,9 @@ def test_pictures_show_the_numbers():
     axes[1].figure.canvas.draw()
     assert seconds.get_xlim() == pytest.approx([2.5 * trial for trial in axes[1].get_xlim()])
     _, axes = plt.subplots(1, 2)
+    figures.figure_5_7(list(axes), [learning([99, 99])])
+    assert [text.get_text() for text in axes[1].texts] == ["fewer than two repetitions are solved"]
+    _, axes = plt.subplots(1, 2)
     figures.gradient_shares(list(axes), found, 2)
     np.testing.assert_allclose(axes[1].lines[0].get_ydata(), analysis.doubt_and_gradient(found, 2)[1][0])
     _, axes = plt.subplots(1, 2)

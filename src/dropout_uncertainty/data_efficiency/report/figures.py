@@ -193,6 +193,8 @@ def median_costs(ax: Axes, learnings: Sequence[Learning]) -> Axes:
             low, middle, high = np.quantile(curves, (0.25, 0.5, 0.75), axis=0)
             trial = _cost_curve(ax, learning, middle, f"{learning.label} ({len(curves)})")
             _shade(ax, learning, trial, low, high)
+    if not ax.get_legend_handles_labels()[0]:
+        ax.text(0.5, 0.5, "fewer than two repetitions are solved", ha="center", transform=ax.transAxes)
     return _log_trials(ax, "median cost per step")
 
 
@@ -234,7 +236,8 @@ def figure_5_7(axes: Sequence[Axes], learnings: Sequence[Learning]) -> None:
     cost_curves(axes[0], learnings)
     median_costs(axes[1], learnings)
     for ax, title in zip(axes, ("repetitions in brackets", "those solved in brackets"), strict=True):
-        ax.legend(loc="center right", frameon=True, edgecolor="none", framealpha=1, title=title)
+        if ax.get_legend_handles_labels()[0]:
+            ax.legend(loc="center right", frameon=True, edgecolor="none", framealpha=1, title=title)
     axes[0].set_xlabel("")
     _seconds(axes[1], learnings[0].plant)
 
