@@ -71,6 +71,13 @@ def test_trials_to_solve_is_when_half_are_solved():
     np.testing.assert_allclose(learning([99]).cost_at(4).value, 1.0)
 
 
+def test_repetitions_to_show_lie_evenly_in_the_order_of_their_first_solved_trials():
+    found = learning([9, 1, 8, 2, 7, 3, 6, 4, 5, 10])
+    assert [int(found.first_solved[i]) for i in found.spread()] == [1, 3, 5, 7, 9]
+    assert found.typical in found.spread()
+    assert learning([3, 2]).spread() == [1]  # in the middle, as few as there are
+
+
 def test_share_has_wilsons_interval():
     value, low, high, n = analysis.share_interval([True] * 10)
     assert (value, n) == (1.0, 10)
@@ -225,17 +232,31 @@ def test_quick_run_is_held_to_its_bands():
 
 
 def test_pictures_show_the_numbers():
-    found = learning([2, 3, 5])
+    found = learning([2, 3, 5, 99])
     _, axes = plt.subplots(1, 2)
-    figures.figure_5_7(axes[0], [found])
-    np.testing.assert_allclose(axes[0].lines[0].get_ydata(), found.trial_costs[:, 1:].mean(0))
+    figures.figure_5_7(list(axes), [found])
+    np.testing.assert_allclose(axes[0].lines[-1].get_ydata(), found.trial_costs[:, 1:].mean(0))
+    np.testing.assert_allclose(axes[1].lines[-1].get_ydata(), np.median(found.trial_costs[:3, 1:], 0))  # the solved
+    assert axes[1].get_legend().get_texts()[0].get_text() == "PILCO (3)"
     assert axes[0].get_xscale() == "log"
-    positions = [line.get_xdata()[0] for line in axes[0].lines[1:]]
-    assert positions == [3, 5, 42, 400, 2500]  # ours, then the printed ones
+    for ax in axes:
+        positions = [line.get_xdata()[0] for line in ax.lines[:-1]]
+        assert positions == [3, 5, 42, 400, 2500]  # ours, then the printed ones
+    (seconds,) = axes[1].child_axes
+    axes[1].figure.canvas.draw()
+    assert seconds.get_xlim() == pytest.approx([2.5 * trial for trial in axes[1].get_xlim()])
+    _, axes = plt.subplots(1, 2)
+    figures.figure_5_7(list(axes), [learning([99, 99])])
+    assert [text.get_text() for text in axes[1].texts] == ["fewer than two repetitions are solved"]
+    _, axes = plt.subplots(1, 2)
     figures.gradient_shares(list(axes), found, 2)
     np.testing.assert_allclose(axes[1].lines[0].get_ydata(), analysis.doubt_and_gradient(found, 2)[1][0])
     _, axes = plt.subplots(1, 2)
-    figures.predicted_and_realised(axes[0], found, (1, 2))
+    figures.predicted_and_realised(axes, found, (2,))
+    np.testing.assert_allclose(
+        axes[0].collections[0].get_offsets(), np.stack([found.predicted_costs[:, 2], found.trial_costs[:, 2]], 1)
+    )
+    assert not axes[1].axison  # no trial is left for it
     figures.predicted_trial(list(axes), found, (1, 2))
     plt.close("all")
 
@@ -244,13 +265,14 @@ def test_pictures_of_deep_pilco_show_the_numbers():
     found = analysis.from_arrays("deep-pilco-ours", PAPER, deep_arrays(12), range(8))
     assert found.typical == 3
     _, axes = plt.subplots(1, 4)
-    figures.figure_5_8(list(axes), found, analysis.PANELS, found.typical)
-    assert [ax.get_title() for ax in axes] == [
-        f"({k}) after trial {t}" for k, t in zip("abcd", (1, 10, 20, 26), strict=True)
+    figures.figure_5_8(list(axes), found, analysis.PANELS, [found.typical, 0])
+    assert [ax.get_title().split("\n") for ax in axes] == [
+        [f"({k}) after trial {t}", f"predicted: {n} steps", "stands: 12 steps"]
+        for k, t, n in zip("abcd", (1, 10, 20, 26), (2, 15, 16, 16), strict=True)
     ]
     np.testing.assert_allclose(axes[1].lines[0].get_ydata(), found.arrays["predicted_mean"][3, 10, :, 3])
     np.testing.assert_allclose(axes[1].lines[1].get_ydata(), found.arrays["states"][3, 10, :, 3])
-    assert len(axes[1].get_lines()) > 7  # prediction, the trial and five more, upright
+    assert len(axes[1].get_lines()) > 14  # two predictions, each with the trial and five more, upright
     lost = learning([2, 3, 5, 99], lost=(7,))
     figures.solved_over_trials(axes[0], [lost], ever=True)
     figures.solved_over_trials(axes[1], [lost], ever=False)

@@ -19,13 +19,13 @@ from dropout_uncertainty.stats import (
     crossing_interval,
     first_crossings,
     in_words,
-    paired_difference,
     t_interval,
 )
 
 __all__ = [
     "EARLY", "END", "LABELS", "Row", "against_deterministic", "check_quick", "from_records", "load_rows",
-    "original_rows", "paired_error", "results", "share_tied", "table_5_1", "table_5_2", "table_settings",
+    "original_rows", "paired_curves", "paired_error", "results", "share_tied", "table_5_1", "table_5_2",
+    "table_settings",
 ]  # fmt: skip
 
 #: How each row is called in tables and figures.
@@ -151,19 +151,24 @@ def original_rows() -> dict[str, Row]:
     return {name: rows[name] for name in LABELS if name in rows}
 
 
+def paired_curves(first: Row, second: Row) -> tuple[Int[np.ndarray, " T"], Float[np.ndarray, "R T"]]:
+    """Return acquired points, and there the test error of one row less that of another, in points of %.
+
+    One curve per seed that both have, as far as both rows go.
+    """
+    common = [seed for seed in first.seeds if seed in second.seeds]
+    length = min(len(first.labels), len(second.labels))
+    one, two = (row.error[[row.seeds.index(seed) for seed in common], :length] for row in (first, second))
+    return first.labels[:length] - first.labels[0], one - two
+
+
 def paired_error(first: Row, second: Row, acquired_from: int, acquired_to: int) -> Interval:
     """Return the mean difference first - second of the test error, in points of %, paired over common seeds.
 
     The mean is over the points of the curve with ``acquired_from`` to ``acquired_to`` acquired points, both included.
     """
-    common = [seed for seed in first.seeds if seed in second.seeds]
-    length = min(len(first.labels), len(second.labels))
-    acquired = first.labels[:length] - first.labels[0]
-    wanted = (acquired >= acquired_from) & (acquired <= acquired_to)
-    means = [
-        row.error[[row.seeds.index(seed) for seed in common], :length][:, wanted].mean(1) for row in (first, second)
-    ]
-    return paired_difference(*means)
+    acquired, differences = paired_curves(first, second)
+    return t_interval(differences[:, (acquired >= acquired_from) & (acquired <= acquired_to)].mean(1))
 
 
 def share_tied(row: Row) -> float:

@@ -1,5 +1,6 @@
 """Figures 5.1 and 5.2, the acquired digits and the digits that each function asks for: rows in, axes out."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -11,15 +12,16 @@ from matplotlib.patches import Rectangle
 
 from dropout_uncertainty.active_learning.experiment import ROWS
 from dropout_uncertainty.active_learning.noisy_pools import Task
-from dropout_uncertainty.active_learning.report.analysis import Row
+from dropout_uncertainty.active_learning.report import peaks
+from dropout_uncertainty.active_learning.report.analysis import LABELS, Row, paired_curves
 from dropout_uncertainty.active_learning.report.pools import Contrast, acquired
 from dropout_uncertainty.page.curve_toggles import Curves
-from dropout_uncertainty.page.plotting import COLOURS, SMALL, band
+from dropout_uncertainty.page.plotting import COLOURS, SMALL, band, missing
 from dropout_uncertainty.stats import t_interval
 
 __all__ = [
-    "asked_for", "bought", "class_shares", "digits", "figure_5_1", "figure_5_2", "forest", "learning_curves", "picked",
-    "pool_curves", "to_choose",
+    "asked_for", "bought", "class_shares", "differences", "digits", "figure_5_1", "figure_5_2", "forest",
+    "learning_curves", "minibatches", "picked", "pool_curves", "to_choose",
 ]  # fmt: skip
 
 
@@ -28,27 +30,66 @@ def colour(name: str) -> str:
     return COLOURS[name.rpartition("/")[2]]
 
 
+def dash(name: str) -> str:
+    """Return the dashes of a row: those of what scores the pool."""
+    return {"softmax": "--", "ensemble": ":"}.get(name.partition("/")[0], "-")
+
+
 def learning_curves(
     ax: Axes, rows: Mapping[str, Row], names: Sequence[str], *, original: Mapping[str, Row] | None = None
 ) -> Axes:
     """Draw test error against acquired points for the named rows; dashed lines are Softmax rows, dotted ones ensembles.
 
-    With ``original``, the curves that the original program recorded stand behind as thin lines, one per repetition.
+    With ``original``, the means of the curves that the original program recorded stand behind as thin lines.
     """
     for name in names:
-        dash = {"softmax": "--", "ensemble": ":"}.get(name.partition("/")[0], "-")
         if original and name in original:
             row = original[name]
-            ax.plot(row.labels - row.labels[0], row.error.T, dash, color=colour(name), linewidth=0.5, alpha=0.45)
+            ax.plot(row.labels - row.labels[0], row.error.mean(0), dash(name), color=colour(name), linewidth=0.7)
         if name in rows:
             row = rows[name]
-            band(ax, row.labels - row.labels[0], row.error, colour=colour(name), label=row.label, linestyle=dash)
+            band(ax, row.labels - row.labels[0], row.error, colour=colour(name), label=row.label, linestyle=dash(name))
     ax.set(xlabel="points acquired from the pool", ylabel="test error [%]", yscale="log")
+    _plain_ticks(ax)
+    ax.legend()
+    return ax
+
+
+def _plain_ticks(ax: Axes) -> None:
     ticks = [tick for tick in (1, 2, 3, 5, 10, 20, 40, 60, 80) if ax.get_ylim()[0] <= tick <= ax.get_ylim()[1]]
     ax.set_yticks(ticks, [str(tick) for tick in ticks])
     ax.set_yticks([], minor=True)
-    ax.legend()
+
+
+def differences(ax: Axes, rows: Mapping[str, Row], names: Sequence[str]) -> Axes:
+    """Draw the test error of the named rows less that of Random, paired by seed; the line at 0 is Random."""
+    ax.axhline(0, color=COLOURS["random"], linewidth=1.2)
+    for name in (name for name in names if {name, "random"} <= rows.keys() and name != "random"):
+        acquired, curves = paired_curves(rows[name], rows["random"])
+        band(ax, acquired, curves, colour=colour(name), label=rows[name].label, linestyle=dash(name))
+    ax.set(xlabel="points acquired from the pool", ylabel="error minus Random [points]")
     return ax
+
+
+def minibatches(axes: Sequence[Axes], found: Mapping[str, Row]) -> None:
+    """Draw random acquisition with and without a small last minibatch (left), and the paired difference (right).
+
+    Vertical lines stand at the peaks, where the last minibatch holds at most four images.
+    """
+    reach = min((len(row.labels) for row in found.values()), default=0)
+    for (words, row), shade in zip(found.items(), (COLOURS["random"], COLOURS["variation-ratios"]), strict=False):
+        band(axes[0], row.labels[:reach], row.error[:, :reach], colour=shade, label=words)
+        for ax, labels in itertools.product(axes, row.labels[:reach][peaks.at_peaks(row.labels[:reach])]):
+            ax.axvline(labels, color="#888888", linewidth=0.8, linestyle=":", zorder=0)
+    if len(found) == 2:
+        _, curves = paired_curves(*found.values())
+        band(axes[1], row.labels[:reach], curves, colour=COLOURS["bald"], label="difference")
+    axes[1].axhline(0, color="black", linewidth=0.8)
+    missing(axes[1], [words for words in (peaks.TAIL, peaks.EVEN) if words not in found])
+    axes[0].set(xlabel="labels", ylabel="test error of Random [%]", yscale="log")
+    axes[1].set(xlabel="labels", ylabel="first less second [points]")
+    _plain_ticks(axes[0])
+    axes[0].legend()
 
 
 def to_choose(rows: Mapping[str, Row], original: Mapping[str, Row] | None, shown: Sequence[str]) -> Curves:
@@ -122,18 +163,24 @@ def picked(ax: Axes, task: Task, points: Int[np.ndarray, " n"], title: str) -> A
     return ax
 
 
-def figure_5_1(axes: Sequence[Axes], rows: Mapping[str, Row], original: Mapping[str, Row] | None = None) -> None:
-    """Draw Figure 5.1 on two axes: BALD and Variation Ratios, each with Dropout, Softmax and Random."""
-    for ax, (title, name) in zip(axes, (("BALD", "bald"), ("Variation Ratios", "variation-ratios")), strict=True):
-        learning_curves(ax, rows, ["random", f"softmax/{name}", f"dropout/{name}"], original=original)
-        ax.set_title(title)
-        ax.label_outer()
+def figure_5_1(axes: np.ndarray, rows: Mapping[str, Row], original: Mapping[str, Row] | None = None) -> None:
+    """Draw Figure 5.1 on axes [2, 2]: BALD and Variation Ratios, each with Dropout, Softmax and Random.
+
+    Below them is the error less that of Random.
+    """
+    for (above, below), name in zip(axes.T, ("bald", "variation-ratios"), strict=True):
+        names = ["random", f"softmax/{name}", f"dropout/{name}"]
+        learning_curves(above, rows, names, original=original).set_title(LABELS[f"dropout/{name}"].partition(" ")[2])
+        differences(below, rows, names)
+        above.label_outer()
+        below.label_outer()
 
 
-def figure_5_2(ax: Axes, rows: Mapping[str, Row], original: Mapping[str, Row] | None = None) -> Axes:
-    """Draw Figure 5.2: the four acquisition functions with MC dropout."""
+def figure_5_2(axes: Sequence[Axes], rows: Mapping[str, Row], original: Mapping[str, Row] | None = None) -> None:
+    """Draw Figure 5.2: the four acquisition functions with MC dropout; below less Random."""
     names = ["random", "dropout/bald", "dropout/variation-ratios", "dropout/max-entropy"]
-    return learning_curves(ax, rows, names, original=original)
+    learning_curves(axes[0], rows, names, original=original).label_outer()
+    differences(axes[1], rows, names)
 
 
 def digits(

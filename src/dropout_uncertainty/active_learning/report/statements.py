@@ -1,6 +1,6 @@
 """The statements of section 5.2: what the thesis says of tables and curves, and how our runs are held against it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -25,11 +25,13 @@ from dropout_uncertainty.judging.results import printed
 from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, on_average, shifted
 from dropout_uncertainty.stats import Interval, Statistic, bootstrap_estimate, first_crossings
 
-__all__ = ["STATEMENTS"]
+__all__ = ["STATEMENTS", "ranges"]
 
 TABLES, POOLS = "5_2_active_learning", "5_2_when_draws_help"
 #: Margins in points of test error: over 100-400 acquired points, at the end, and in the pools over 100-300.
 MARGIN, MARGIN_END, MARGIN_POOLS = 0.5, 0.25, 1.0
+#: Acquired points over which a curve that has converged is flat.
+LAST = (880, 980)
 #: Cells of the tables in the order of their statements, and the scores that both kinds of networks can be given.
 CELLS = [
     "random", "softmax/max-entropy", "softmax/variation-ratios", "softmax/bald",
@@ -115,9 +117,14 @@ def curves(
     rows = load_rows(family, folder)
     if not {first, second} <= rows.keys():
         return None
-    one, two = (means(rows[name], acquired) for name in (first, second))
-    differences = [one[seed] - two[seed] for seed in one if seed in two]
+    differences = apart(acquired, rows[first], rows[second])
     return on_average(differences, [*rows[first].records, *rows[second].records])
+
+
+def apart(acquired: tuple[int, int], first: Row, second: Row) -> list[float]:
+    """Return the mean test error of one row less that of another over a range, one number per seed of both."""
+    one, two = (means(row, acquired) for row in (first, second))
+    return [one[seed] - two[seed] for seed in one if seed in two]
 
 
 def compared(
@@ -169,12 +176,15 @@ def averaging(folder: Path | None) -> Measured | None:
 
 
 def slope(name: str, folder: Path | None) -> Measured | None:
-    """Return by how much a line through the last eleven points, 900 to 1000 labels, rises; in points."""
+    """Return by how much the last 100 labels change the test error of a row."""
     row = load_rows("ours", folder).get(name)
-    if row is None:
-        return None
+    return None if row is None else on_average(rise(row), row.records)
+
+
+def rise(row: Row) -> Float[np.ndarray, " R"]:
+    """Return by how many points a line through the last eleven points of each curve, 900 to 1000 labels, rises."""
     last = row.labels >= row.labels[-1] - 100
-    return on_average(100 * np.polyfit(row.labels[last], row.error[:, last].T, 1)[0], row.records)
+    return 100 * np.polyfit(row.labels[last], row.error[:, last].T, 1)[0]
 
 
 # ------------------------------------------------------------------ audits
@@ -295,3 +305,17 @@ STATEMENTS: list[Statement] = [
         for letter, score in zip("bcd", SCORES, strict=True)
     ),
 ]  # fmt: skip
+
+
+def ranges() -> Iterator[tuple[Statement, Callable[..., Any], tuple[str, ...], tuple[int, int]]]:
+    """Return which statements read off the curves of rows of the tables, and over which acquired points.
+
+    The statement, a function of the rows that gives a number for each seed, the names of these rows, and the range.
+    """
+    for statement in STATEMENTS:
+        match statement.measure:
+            case partial(func=func, args=(first, second, acquired), keywords={**others}) if func is curves:
+                if not others:  # else it is about a pool
+                    yield statement, partial(apart, acquired), (first, second), acquired
+            case partial(func=func, args=(name,)) if func is slope:
+                yield statement, rise, (name,), LAST

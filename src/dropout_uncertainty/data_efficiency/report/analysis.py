@@ -133,6 +133,12 @@ class Learning:
         """Number of a repetition whose first solved trial is in the middle of all: the one to show."""
         return int(np.argsort(self.first_solved, kind="stable")[(len(self.costs) - 1) // 2])
 
+    def spread(self, count: int = 5) -> list[int]:
+        """Return numbers of repetitions that lie evenly in the order of first solved trials, among them the typical."""
+        middles = (2 * np.arange(count) + 1) / (2 * count) * (len(self.costs) - 1)
+        order = np.argsort(self.first_solved, kind="stable")
+        return order[np.unique(middles.astype(int))].tolist()
+
     @property
     def trials_to_solve(self) -> Interval:
         """Trial by which at least half of the repetitions are solved; inf if they are not."""

@@ -17,8 +17,8 @@ from dropout_uncertainty.page.profiles import complete
 from dropout_uncertainty.page.tables import Folded, Rendered, Table, Words
 
 __all__ = [
-    "DEEP_LIVE", "PILCO_LIVE", "computing_time", "deep_pilco", "in_words", "learn", "panels", "pilco", "plants",
-    "shown", "solved", "telling", "times", "unsolved", "watch",
+    "DEEP_LIVE", "PILCO_LIVE", "computing_time", "deep_pilco", "in_words", "learn", "longest", "panels", "pilco",
+    "plants", "shown", "solved", "telling", "times", "unsolved", "watch",
 ]  # fmt: skip
 
 #: Live runs by profile: repetitions, trials, and line searches of PILCO, or a share of the steps of Deep PILCO.
@@ -64,6 +64,12 @@ def deep_pilco(profile: str, live: Learning) -> list[Learning]:
         analysis.check_quick_deep(live)
         return [live]
     return [found for name in names if (found := analysis.load(name))] or [live]
+
+
+def longest(profile: str) -> list[Learning]:
+    """Return the one repetition of PILCO that goes on for 40 trials, if it is stored; none in ``quick``."""
+    found = None if profile == "quick" else analysis.load("pilco-paper-40")
+    return [found] if found else []
 
 
 def shown(learning: Learning) -> str:
@@ -117,8 +123,7 @@ def times(learning: Learning, trials: Sequence[int]) -> Rendered:
 
 def computing_time(profile: str, first: Learning, others: Sequence[Learning]) -> list[Rendered]:
     """Return the tables of what all trials take, learner by learner, and of single trials, folded."""
-    longest = None if profile == "quick" else analysis.load("pilco-paper-40")
-    stored = [x for x in (first, longest, *others) if x and x.records]
+    stored = [x for x in (first, *longest(profile), *others) if x.records]
     if not stored:
         return [Words(LATER)]
     heads, cells = analysis.run_time_table(stored)

@@ -1,7 +1,8 @@
 """Figures 5.5-5.8 and the pictures of section 5.4: numbers in, axes out."""
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,8 @@ from dropout_uncertainty.judging.results import thesis_value
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, legend_above
 
 __all__ = [
-    "angles", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_8", "gradient_shares", "matched_output",
-    "predicted_and_realised", "predicted_trial", "solved_over_trials",
+    "angles", "cost_curves", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_8", "gradient_shares",
+    "matched_output", "median_costs", "predicted_and_realised", "predicted_trial", "solved_over_trials",
 ]  # fmt: skip
 
 #: Size of the symbols in a sketch [points]: that of the formulas in the text.
@@ -26,10 +27,10 @@ SYMBOL = 12
 STATE, FORCE = "#DCE9F5", "#FBE6C8"
 #: Vertical lines of Figure 5.7: id of the printed number, what it is, and the colour it has in the thesis.
 PRINTED = (
-    ("figure-5.7/pilco/caption", "PILCO, caption", COLOURS["pilco"]),
-    ("figure-5.7/deep-pilco/caption", "Deep PILCO, caption", COLOURS["deep-pilco"]),
-    ("literature/gu-2016/trials", "Gu et al. (2016)", "#882255"),
-    ("literature/lillicrap-2015/trials", "Lillicrap et al. (2015)", "#117733"),
+    ("figure-5.7/pilco/caption", "PILCO", COLOURS["pilco"]),
+    ("figure-5.7/deep-pilco/caption", "Deep PILCO", COLOURS["deep-pilco"]),
+    ("literature/gu-2016/trials", "Gu et al.", "#882255"),
+    ("literature/lillicrap-2015/trials", "Lillicrap et al.", "#117733"),
 )
 
 
@@ -154,52 +155,109 @@ def predicted_trial(axes: Sequence[Axes], learning: Learning, trials: Sequence[i
     axes[0].legend()
 
 
-def predicted_and_realised(ax: Axes, learning: Learning, trials: Sequence[int]) -> Axes:
-    """Draw the cost that each trial had against the one predicted for it, one point per repetition."""
-    shades = np.linspace(0.25, 1.0, len(trials))
-    for trial, shade in zip(trials, shades, strict=True):
-        x, y = learning.predicted_costs[:, trial], learning.trial_costs[:, trial]
-        ax.scatter(x, y, s=26, color=COLOURS["pilco"], alpha=shade, edgecolors="none", label=f"trial {trial}")
-    ax.plot([0, 1], [0, 1], color=DARK, linewidth=0.8)
-    low = min(learning.predicted_costs[:, list(trials)].min(), learning.trial_costs[:, list(trials)].min())
-    limits = (0.9 * low, 1.02)
-    ax.set(xlim=limits, ylim=limits, xlabel="predicted cost per step", ylabel="realised cost per step", aspect="equal")
-    ax.legend(loc="lower right")
-    return ax
+def predicted_and_realised(axes: Iterable[Axes], learning: Learning, trials: Sequence[int]) -> None:
+    """Draw the cost that a trial had against the one predicted for it, one panel a trial, one point per repetition."""
+    both = [learning.predicted_costs, learning.trial_costs]
+    low = 0.9 * min(costs[:, list(trials)].min() for costs in both)
+    for ax, trial in itertools.zip_longest(axes, trials):
+        if trial is None:  # a short run has fewer trials than there are panels
+            ax.axis("off")
+            continue
+        ax.plot([0, 1], [0, 1], color=DARK, linewidth=0.8)
+        x, y = (costs[:, trial] for costs in both)
+        ax.scatter(x, y, s=22, color=COLOURS["pilco"], alpha=0.6, edgecolors="none")
+        ax.set(xlim=(low, 1.02), ylim=(low, 1.02), aspect="equal", title=f"trial {trial}")
+        ax.set(xlabel="predicted cost per step", ylabel="realised cost per step")
+        ax.label_outer()
 
 
-def figure_5_7(ax: Axes, learnings: Sequence[Learning], *, printed: bool = True) -> Axes:
-    """Draw Figure 5.7: mean cost per step against trial on a log axis, with one and two standard errors as two shades.
-
-    With ``printed``, dashed vertical lines stand where the thesis prints a number of trials, and solid ones where half
-    of these repetitions are solved.
-    """
+def cost_curves(ax: Axes, learnings: Sequence[Learning]) -> Axes:
+    """Draw mean cost per step against trial on a log axis, with one and two standard errors as two shades."""
     for learning in learnings:
-        colour = _colour(learning)
-        trial, curves = np.arange(1, learning.trials + 1), learning.trial_costs[:, 1:]
+        curves = learning.trial_costs[:, 1:]
         mean = curves.mean(0)
-        dash = {"pilco-matlab": "--", "original": ":"}.get(learning.config, "-")
-        count = f"{len(curves)} repetitions" if len(curves) > 1 else "one repetition"
-        ax.plot(trial, mean, dash, color=colour, label=f"{learning.label} ({count})")
+        trial = _cost_curve(ax, learning, mean, f"{learning.label} ({len(curves)})")
         if len(curves) > 1:
             error = curves.std(0, ddof=1) / np.sqrt(len(curves))
             for times in (1, 2):
-                ax.fill_between(trial, mean - times * error, mean + times * error, color=colour, alpha=0.2, linewidth=0)
-        if printed and math.isfinite(learning.trials_to_solve.value):
-            ax.axvline(learning.trials_to_solve.value, color=colour, linewidth=1.1)
-    for identifier, name, colour in PRINTED if printed else ():
-        trials = thesis_value(identifier) or math.nan
-        ax.axvline(trials, color=colour, linestyle="--", linewidth=1.1)
-        place: dict[str, Any] = {"rotation": 90, "va": "top", "ha": "left", "fontsize": SMALL, "color": colour}
-        ground = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
-        ax.text(1.04 * trials, 0.98, f"{name}: {trials:g}", transform=ax.get_xaxis_transform(), bbox=ground, **place)
-    ax.set(xscale="log", ylim=(0, 1.02), xlabel="trial", ylabel="mean cost per step")
-    ax.margins(x=0.07)  # room for the words beside the last line
+                _shade(ax, learning, trial, mean - times * error, mean + times * error)
+    ax.legend(loc="lower left")
+    return _log_trials(ax, "mean cost per step")
+
+
+def median_costs(ax: Axes, learnings: Sequence[Learning]) -> Axes:
+    """Draw the median cost per step over the repetitions that are solved in some trial, with quartiles as a shade."""
+    for learning in learnings:
+        curves = learning.trial_costs[np.isfinite(learning.first_solved), 1:]
+        if len(curves) > 1:
+            low, middle, high = np.quantile(curves, (0.25, 0.5, 0.75), axis=0)
+            trial = _cost_curve(ax, learning, middle, f"{learning.label} ({len(curves)})")
+            _shade(ax, learning, trial, low, high)
+    if not ax.get_legend_handles_labels()[0]:
+        ax.text(0.5, 0.5, "fewer than two repetitions are solved", ha="center", transform=ax.transAxes)
+    return _log_trials(ax, "median cost per step")
+
+
+def _cost_curve(ax: Axes, learning: Learning, costs: np.ndarray, label: str) -> np.ndarray:
+    trial = np.arange(1, learning.trials + 1)
+    line = {"pilco-matlab": "--", "original": ":"}.get(learning.config, "-")
+    width = 0.8 if learning.config == "pilco-paper-40" else 1.8  # a single repetition behind the others
+    ax.plot(trial, costs, line, color=_colour(learning), linewidth=width, label=label)
+    return trial
+
+
+def _shade(ax: Axes, learning: Learning, trial: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+    ax.fill_between(trial, low, high, color=_colour(learning), alpha=0.2, linewidth=0)
+
+
+def _log_trials(ax: Axes, ylabel: str) -> Axes:
+    ax.set(xscale="log", ylim=(0, 1.02), xlabel="trial", ylabel=ylabel)
     ticks = [t for t in (1, 2, 5, 10, 20, 50, 100, 400, 1000, 2500) if t <= ax.get_xlim()[1]]
     ax.set_xticks(ticks, [str(t) for t in ticks])
     ax.set_xticks([], minor=True)
-    ax.legend(loc="lower left", frameon=True, edgecolor="none")  # over the vertical lines
     return ax
+
+
+def figure_5_7(axes: Sequence[Axes], learnings: Sequence[Learning]) -> None:
+    """Draw Figure 5.7 on two axes: above the mean over all repetitions, below the median over those that are solved.
+
+    Dashed vertical lines stand where the thesis prints a number of trials, solid ones where half of these repetitions
+    are solved. A second axis counts seconds on this plant.
+    """
+    for ax in axes:
+        for learning in (x for x in learnings if len(x.seeds) > 1 and math.isfinite(x.trials_to_solve.value)):
+            ax.axvline(learning.trials_to_solve.value, color=_colour(learning), linewidth=1.1)
+        for identifier, _, colour in PRINTED:
+            ax.axvline(thesis_value(identifier) or math.nan, color=colour, linestyle="--", linewidth=1.1)
+    for identifier, name, colour in PRINTED:
+        trials = thesis_value(identifier) or math.nan
+        place: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": SMALL, "color": colour}
+        axes[0].text(trials, 1.02, f"{name}\n{trials:g}", transform=axes[0].get_xaxis_transform(), **place)
+    cost_curves(axes[0], learnings)
+    median_costs(axes[1], learnings)
+    for ax, title in zip(axes, ("repetitions in brackets", "those solved in brackets"), strict=True):
+        if ax.get_legend_handles_labels()[0]:
+            ax.legend(loc="center right", frameon=True, edgecolor="none", framealpha=1, title=title)
+    axes[0].set_xlabel("")
+    _seconds(axes[1], learnings[0].plant)
+
+
+def _seconds(ax: Axes, plant: CartPole) -> None:
+    """Add an axis below that counts the seconds of as many trials."""
+    trial = plant.steps * plant.dt
+
+    def seconds(trials: np.ndarray) -> np.ndarray:
+        return trial * trials
+
+    def trials(seconds: np.ndarray) -> np.ndarray:
+        return seconds / trial
+
+    axis = ax.secondary_xaxis(-0.32, functions=(seconds, trials))  # type: ignore[arg-type]
+    axis.set_xscale("log")
+    shown = [t for t in (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if t <= trial * ax.get_xlim()[1]]
+    axis.set_xticks(shown, [f"{t:,}" for t in shown])
+    axis.set_xticks([], minor=True)
+    axis.set_xlabel(f"seconds of experience, {trial:g} s a trial")
 
 
 def _colour(learning: Learning) -> str:
@@ -221,22 +279,29 @@ def solved_over_trials(ax: Axes, learnings: Sequence[Learning], *, ever: bool) -
     return ax
 
 
-def figure_5_8(axes: Sequence[Axes], learning: Learning, trials: Sequence[int], replica: int) -> None:
+def figure_5_8(axes: Sequence[Axes], learning: Learning, trials: Sequence[int], replicas: Sequence[int]) -> None:
     """Draw Figure 5.8, one panel per trial: the predicted angle in blue, true trials of the policy in green.
 
-    Prediction: mean and two standard deviations, by the model that has seen as many trials as the title says. Dotted
-    lines are upright: 0 and every full turn.
+    Prediction of each of the repetitions ``replicas``: mean and two standard deviations, by the model that has seen as
+    many trials as the title says. Dotted lines are upright: 0 and every full turn. The title also counts steps, means
+    over all repetitions.
     """
     t = np.arange(learning.plant.steps + 1)
-    for ax, trial in zip(axes, trials, strict=True):
-        mean = learning.arrays["predicted_mean"][replica, trial, :, 3].astype(float)
-        std = learning.predicted_std[replica, trial, :, 3]
-        ax.fill_between(t, mean - 2 * std, mean + 2 * std, color=COLOURS["deep-pilco"], alpha=0.3, linewidth=0)
-        ax.plot(t, mean, color=COLOURS["deep-pilco"], label="predicted, two std")
-        true = analysis.repeats(learning, trial)[replica, :, :, 3]
-        ax.plot(t, true.T, color="#117733", linewidth=1, label=["true trials", *[""] * (len(true) - 1)])
-        _turns(ax, true, margin=0.75 * np.pi)
-        ax.set(xlabel="time step", title=f"({'abcdefgh'[list(trials).index(trial)]}) after trial {trial}")
+    angles = np.stack([analysis.repeats(learning, trial)[list(replicas), :, :, 3] for trial in trials])
+    for letter, ax, trial, true in zip("abcdefgh", axes, trials, angles, strict=False):
+        for replica, ends in zip(replicas, true, strict=True):
+            mean = learning.arrays["predicted_mean"][replica, trial, :, 3].astype(float)
+            std = learning.predicted_std[replica, trial, :, 3]
+            ax.fill_between(t, mean - 2 * std, mean + 2 * std, color=COLOURS["deep-pilco"], alpha=0.2, linewidth=0)
+            ax.plot(t, mean, color=COLOURS["deep-pilco"], linewidth=1.2)
+            ax.plot(t, ends.T, color="#117733", linewidth=0.7, alpha=0.8)
+        _turns(ax, angles, margin=0.5 * np.pi)
+        predicted, held, _ = (interval.value for *_, interval in analysis.fitting(learning, trial))
+        words = f"({letter}) after trial {trial}\npredicted: {predicted:.0f} steps\nstands: {held:.0f} steps"
+        ax.set(xlabel="time step", title=words)
+        ax.label_outer()
+    for line, words in zip(axes[0].lines, ("predicted, two std", "true trials"), strict=False):
+        line.set_label(words)
     axes[0].set_ylabel(f"{learning.label}\nangle $\\theta$ [rad]")
     legend_above(axes[0])
 
@@ -270,7 +335,8 @@ def gradient_shares(axes: Sequence[Axes], learning: Learning, trial: int) -> Non
         ax.fill_between(t, low, high, color=colour, alpha=0.2, linewidth=0)
     axes[0].axhline(learning.plant.cost_width / learning.plant.pole_length, color=DARK, linewidth=0.8, linestyle=":")
     axes[0].set(yscale="log", title=f"trial {trial}")
-    axes[1].set(xlabel="time [s]", ylim=(0, None))
+    axes[1].set(xlabel="time [s]")
+    axes[1].set_ylim(bottom=0)
     place = axes[0].get_subplotspec()
     if place and place.is_first_col():
         axes[0].set_ylabel("std of the angle [rad]")

@@ -25,7 +25,7 @@ from dropout_uncertainty.stats import (
 __all__ = [
     "BLOCKS", "BURN_IN", "EARLY", "LABELS", "LATE", "TARGET", "Agents", "Curves", "advantage", "batches", "block_table",
     "check_quick", "compare", "crossing_table", "difference_table", "from_arrays", "from_records", "held_out_gap",
-    "held_out_table", "load", "median", "original", "paired", "results",
+    "held_out_table", "load", "mean_crossing", "median", "original", "paired", "results", "smoothed",
 ]  # fmt: skip
 
 #: How each agent is called in figures and tables.
@@ -179,6 +179,25 @@ def original(variant: str = "as-demo") -> Agents:
 def batches(ticks: np.ndarray, unit: int = BLOCK) -> np.ndarray:
     """Return ticks as batches of ``unit`` ticks from the end of the burn-in, as the thesis counts."""
     return (np.asarray(ticks, float) - BURN_IN) / unit
+
+
+def smoothed(curves: Curves, points: int = 40) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "R n"]]:
+    """Return each run's curve averaged over ranges of equal length on a logarithmic axis of batches, and their middles.
+
+    There are at most ``points``, fewer where a range would be shorter than one batch. Runs that end within a range
+    count as far as they go, and are NaN after that.
+    """
+    last = batches(curves.ticks)[-1]
+    ends = np.unique(np.geomspace(1, last, points).round()).astype(int)
+    starts = np.concatenate(([0], ends[:-1]))
+    ticks = BURN_IN + BLOCK * np.stack([starts, ends], 1)
+    return np.sqrt((starts + 1) * ends), np.stack([curves.mean(*edges) for edges in ticks.tolist()], 1)
+
+
+def mean_crossing(curves: Curves, target: float = TARGET) -> float:
+    """Return the batch after the burn-in at which the mean curve of all runs first reaches ``target``; inf if never."""
+    later = curves.ticks > BURN_IN
+    return float(first_crossings(curves.average[:, later].mean(0), target, above=True)) + 1
 
 
 def median(values: np.ndarray) -> Interval:

@@ -7,7 +7,16 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dropout_uncertainty.exploration.report import two_by_two
-from dropout_uncertainty.exploration.report.analysis import BLOCK, BURN_IN, TARGET, Agents, Curves, batches
+from dropout_uncertainty.exploration.report.analysis import (
+    BLOCK,
+    BURN_IN,
+    TARGET,
+    Agents,
+    Curves,
+    batches,
+    mean_crossing,
+    smoothed,
+)
 from dropout_uncertainty.judging.results import thesis_value
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, band, missing
 from dropout_uncertainty.stats import t_interval
@@ -21,16 +30,14 @@ __all__ = [
 def learning_curves(ax: Axes, agents: Mapping[str, Curves], *, original: Mapping[str, Curves] | None = None) -> Axes:
     """Draw average reward against batches of 500 ticks from the end of the burn-in; a second axis counts ticks.
 
-    With ``original``, the runs of the original program stand behind as thin lines.
+    Curves are averaged over ranges of equal length on this axis. With ``original``, the mean of the runs of the
+    original program stands behind as a thin line, as far as all of them go.
     """
     for curves in (original or {}).values():
-        later = curves.ticks > BURN_IN
-        x = batches(curves.ticks[later])
-        ax.plot(x, curves.average[:, later].T, color=COLOURS[curves.agent], linewidth=0.5, alpha=0.4, zorder=1)
+        x, values = smoothed(curves)
+        ax.plot(x, values.mean(0), color=COLOURS[curves.agent], linewidth=0.7, zorder=1)
     for curves in agents.values():
-        later = curves.ticks > BURN_IN
-        x = batches(curves.ticks[later])
-        band(ax, x, curves.average[:, later], colour=COLOURS[curves.agent], label=curves.label)
+        band(ax, *smoothed(curves), colour=COLOURS[curves.agent], label=curves.label)
     ax.axhline(TARGET, color="#888888", linewidth=0.8)
     ax.set(xscale="log", xlabel=f"batches of {BLOCK} ticks from the end of the burn-in", ylabel="average reward")
     ax.xaxis.set_major_formatter("{x:g}")
@@ -50,16 +57,20 @@ def from_batches(x: np.ndarray) -> np.ndarray:
 
 
 def figure_5_4(ax: Axes, agents: Mapping[str, Curves], original: Mapping[str, Curves] | None = None) -> Axes:
-    """Draw Figure 5.4: both agents, with the thesis's numbers of batches as vertical lines."""
+    """Draw Figure 5.4: both agents, and when each reaches 1: by the thesis (dotted), and our mean curve (a dot)."""
     learning_curves(ax, agents, original=original)
-    for agent in agents:
-        value = thesis_value(f"figure-5.4/{agent}/first-crossing")
-        if value is not None and value <= ax.get_xlim()[1]:
-            ax.axvline(value, color=COLOURS[agent], linestyle=":", linewidth=1.2)
-            ax.annotate(
-                f"thesis: {value:g}", (value, 0.02), xycoords=("data", "axes fraction"), rotation=90,
-                xytext=(3, 0), textcoords="offset points", color=COLOURS[agent], fontsize=SMALL,
-            )  # fmt: skip
+    for agent, curves in agents.items():
+        ours, printed = mean_crossing(curves), thesis_value(f"figure-5.4/{agent}/first-crossing")
+        for words, value, line in (("thesis", printed, ":"), ("ours", ours, "-")):
+            if value is not None and value <= ax.get_xlim()[1]:
+                ax.plot([value, value], [0, TARGET], line, color=COLOURS[agent], linewidth=1.2)
+                ax.annotate(
+                    f"{words}: {value:g}", (value, 0.02), xycoords=("data", "axes fraction"), rotation=90,
+                    xytext=(3, 0), textcoords="offset points", color=COLOURS[agent], fontsize=SMALL,
+                )  # fmt: skip
+        ax.plot(ours, TARGET, "o", color=COLOURS[agent])
+    ax.set_ylim(bottom=0.2)  # room for the words
+    ax.legend(loc="lower left")
     return ax
 
 
