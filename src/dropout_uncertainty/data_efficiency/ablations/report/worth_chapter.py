@@ -180,7 +180,7 @@ def answers(found: Runs) -> Words:
 def trusted(found: Comparison | None, trials: int = 5) -> Words:
     """Return what a sure PILCO expected of its first trials, and what they cost."""
     if found is None:
-        return Words("")
+        return Words("*Not run yet: `doubt/pilco-mean`.*")
 
     def tell(learning: Learning) -> str:
         here = slice(1, trials + 1)

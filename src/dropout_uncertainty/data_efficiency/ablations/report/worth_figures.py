@@ -34,7 +34,7 @@ NOISE_STYLES = {"plain": ("plain noise", COLOURS["bald"]), "standardised": ("sta
 ESTIMATE_STYLES = {"pathwise": "#0072B2", "likelihood-ratio": "#D55E00", "total-propagation": "#009E73"}
 
 
-def _whisker(ax: Axes, row: float, interval: Interval, colour: str, label: str | None = None) -> None:
+def _whisker(ax: Axes, row: float | int, interval: Interval, colour: str, label: str | None = None) -> None:
     ax.plot([interval.low, interval.high], [row, row], color=colour, linewidth=1.6)
     ax.plot(interval.value, row, "o", color=colour, markersize=5, label=label)
 
@@ -83,7 +83,7 @@ def first_trials(found: Comparison | None, trials: int = 5) -> Figure | None:
             band(ax, x, curves[:, x], colour=colour, label=label, marker="o", markersize=4)
         ax.set(xlabel="trial", title=title, ylim=(0, 1.05), xticks=x)
     axes[0].set_ylabel("mean cost per step")
-    axes[0].legend(loc="lower left")
+    legend_above(axes[0])
     return figure
 
 
@@ -117,7 +117,7 @@ def both_ways(groups: Mapping[str, Sequence[Comparison]]) -> Figure | None:
     names = [name for name in CHANGES if name in run]
     if not names:
         return None
-    figure, axes = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.28 * len(names)), sharey=True)
+    figure, axes = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.28 * len(names)), sharex=True, sharey=True)
     for ax, (way, words) in zip(axes, (("add", "added to the text's"), ("drop", "taken from ours")), strict=True):
         ax.axvspan(-MARGIN_COST, MARGIN_COST, color="#eeeeee")
         ax.axvline(0, color=DARK, linewidth=0.9)
@@ -174,7 +174,7 @@ def left(found: Sequence[Cloud]) -> Figure | None:
         ax.plot(steps, (1 - 1 / cloud.particles) ** steps, ":", color=DARK, label="a walk that does nothing")
         ax.set(xlabel="step", title=f"{cloud.name}, K = {cloud.particles}", yscale="log")
     axes[0, 0].set_ylabel("share of the variance")
-    axes[0, 0].legend(loc="lower left")
+    figure.legend(handles=axes[0, 0].get_legend_handles_labels()[0], loc="outside upper center", ncols=3)
     return figure
 
 
@@ -187,5 +187,6 @@ def estimates(found: Estimates | None) -> Figure | None:
         label, colour = name.replace("-", " "), ESTIMATE_STYLES[name]
         band(ax, np.array(found.horizons), found.log(name), colour=colour, label=label, marker="o", markersize=4)
     ax.set(xlabel="length of the predicted trial [steps]", ylabel="log10 of the gradient's variance")
+    ax.set_xticks(found.horizons)
     ax.legend()
     return figure
