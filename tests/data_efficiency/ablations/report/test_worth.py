@@ -66,7 +66,9 @@ def folder(tmp_path_factory):
                                      "median_variance": few / 2}, 10)  # fmt: skip
     horizons = len(CONFIGS["gradients/pilco"].horizons)
     variance = np.exp(rng.standard_normal((10, 3, 1, 1)) + np.array([[2.0], [1.0], [0.0]]) * np.arange(horizons))
-    write(folder, "gradients/pilco", {"costs": many[..., 0], "gradient_variance": variance.astype(np.float32)}, 10)
+    arrays = {"costs": many[..., 0], "gradient_variance": variance.astype(np.float32)}
+    norm = np.broadcast_to(np.array([[4.0], [4.0], [2.0]]), variance.shape).astype(np.float32)
+    write(folder, "gradients/pilco", arrays | {"gradient_norm": norm}, 10)
     return folder
 
 
@@ -139,6 +141,7 @@ def test_pictures_and_sentences_show_the_numbers(folder):
     assert "**ensemble in the place of dropout** costs less" in text
     assert "In both directions: matching." in worth_chapter.choices(found).markdown
     assert "0.10 [0.10, 0.10] with plain noise" in worth_chapter.clouds(found).markdown
+    assert "has 0.50 [0.50, 0.50] times the norm" in worth_chapter.grown(found.estimates).markdown
     assert "expected of its first 5 trials 0.20" in worth_chapter.trusted(found.pilco).markdown
     assert (
         found.missing("doubt").markdown

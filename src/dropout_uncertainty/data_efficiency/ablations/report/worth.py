@@ -135,15 +135,30 @@ def clouds(folder: Path | None = None) -> list[Cloud]:
 
 @dataclass(frozen=True)
 class Estimates:
-    """Variance over draws of each estimate of the gradient [R, trial, estimate, horizon], and the horizons [steps]."""
+    """Of each estimate of the gradient, over draws: variance and norm of the mean, by length of the trial [steps]."""
 
     horizons: tuple[int, ...]
+    draws: int
     variance: Float[np.ndarray, "R trials estimates horizons"]
+    norm: Float[np.ndarray, "R trials estimates horizons"]
     records: tuple[Record, ...] = ()
+
+    @classmethod
+    def of(
+        cls, horizons: Sequence[int], draws: int, arrays: Mapping[str, np.ndarray], found: Sequence[Record] = ()
+    ) -> "Estimates":
+        """Return the estimates of a run, from its arrays."""
+        variance, norm = (arrays[f"gradient_{name}"][:, 1:].astype(float) for name in ("variance", "norm"))
+        return cls(tuple(horizons), draws, variance, norm, tuple(found))
 
     def log(self, estimate: str) -> Float[np.ndarray, "R horizons"]:
         """Return the decimal logarithm of an estimate's variance, mean over trials."""
-        return np.log10(self.variance[:, :, list(ESTIMATES).index(estimate)].astype(float)).mean(1)
+        return np.log10(self.variance[:, :, list(ESTIMATES).index(estimate)]).mean(1)
+
+    def whole(self, estimate: str) -> tuple[Float[np.ndarray, " R"], Float[np.ndarray, " R"]]:
+        """Return, of the longest trial and the last policy, the norm of the mean, and its standard error as a share."""
+        place = (slice(None), -1, list(ESTIMATES).index(estimate), -1)
+        return self.norm[place], np.sqrt(self.variance[place] / self.draws) / self.norm[place]
 
 
 def estimates(folder: Path | None = None) -> Estimates | None:
@@ -151,8 +166,8 @@ def estimates(folder: Path | None = None) -> Estimates | None:
     learning = load("gradients/pilco", folder)
     if learning is None:
         return None
-    horizons = tuple(learning.records[0].header["config"]["horizons"])
-    return Estimates(horizons, learning.arrays["gradient_variance"][:, 1:], learning.records)
+    config = learning.records[0].header["config"]
+    return Estimates.of(config["horizons"], config["draws"], learning.arrays, learning.records)
 
 
 def results(folder: Path | None = None) -> list[Result]:
