@@ -116,11 +116,11 @@ class Cloud:
 def cloud(name: str, particles: int, arrays: Mapping[str, np.ndarray], found: Sequence[Record] = ()) -> Cloud:
     """Return the cloud of a learner, from the arrays of its records or of a live run."""
     many = arrays["many_variance"][:, 1:, :, 3]
-    shares = [
+    left, typical = (
         {noise: arrays[f"{kind}_variance"][:, 1:, row, :, 3] / many for row, noise in enumerate(NOISE)}
         for kind in ("mean", "median")
-    ]
-    return Cloud(name, particles, *shares, tuple(found))
+    )
+    return Cloud(name, particles, left, typical, tuple(found))
 
 
 def clouds(folder: Path | None = None) -> list[Cloud]:
