@@ -7,6 +7,7 @@ from dropout_uncertainty.active_learning.report import analysis as active_learni
 from dropout_uncertainty.active_learning.report import pools
 from dropout_uncertainty.active_learning.report.statements import STATEMENTS as ACTIVE_LEARNING
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as what_matters
+from dropout_uncertainty.data_efficiency.ablations.report import worth
 from dropout_uncertainty.data_efficiency.ablations.report.statements import STATEMENTS as WHAT_MATTERS
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.data_efficiency.report.statements import STATEMENTS as DATA_EFFICIENCY
@@ -56,6 +57,6 @@ def collect(folder: Path | None = None) -> list[Result]:
     Raises:
         RecordError: if a record cannot be trusted.
     """
-    sections = (active_learning, pools, exploration, two_by_two, deep_sea, data_efficiency, what_matters)
+    sections = (active_learning, pools, exploration, two_by_two, deep_sea, data_efficiency, what_matters, worth)
     numbers = [result for section in sections for result in section.results(folder)]
     return numbers + [j.result() for j in judged(folder)]

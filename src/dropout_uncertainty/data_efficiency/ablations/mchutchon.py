@@ -28,7 +28,8 @@ from dropout_uncertainty.data_efficiency.pilco.learner import LONGER, PilcoConfi
 from dropout_uncertainty.runs.sweep import Sweep
 
 __all__ = [
-    "CONFIGS", "FAMILY", "GaussianDynamics", "GaussianFunction", "ParticlePilco", "ParticlePilcoConfig", "start",
+    "CONFIGS", "FAMILY", "GaussianDynamics", "GaussianFunction", "ParticlePilco", "ParticlePilcoConfig", "moments_at",
+    "start",
 ]  # fmt: skip
 
 FAMILY = "mchutchon"
@@ -74,12 +75,18 @@ class GaussianFunction:
 
     def __call__(self, inputs: Float[Tensor, "R K D"]) -> Float[Tensor, "R K E"]:
         """Return the change of state for features and force; the noise of the observations is not added."""
-        kernel, precision = self.posterior.kernel(inputs), self.posterior.precision  # [R, E, K, N] and [R, E, N, N]
-        assert precision is not None  # of a posterior
-        mean = (kernel @ self.posterior.weights[..., None])[..., 0]
-        signal = torch.exp(2 * self.posterior.log_signal_std)[..., None]
-        variance = signal - ((kernel @ precision) * kernel).sum(-1)
-        return (mean + variance.clamp_min(LEAST_VARIANCE * signal).sqrt() * self.noise.mT).mT
+        mean, std = moments_at(self.posterior, inputs)
+        return mean + std * self.noise
+
+
+def moments_at(posterior: SquaredExponential, inputs: Float[Tensor, "R K D"]) -> tuple[Tensor, Tensor]:
+    """Return mean and standard deviation [R, K, E] of Gaussian processes at points, without noise."""
+    kernel, precision = posterior.kernel(inputs), posterior.precision  # [R, E, K, N] and [R, E, N, N]
+    assert precision is not None  # of a posterior
+    mean = (kernel @ posterior.weights[..., None])[..., 0]
+    signal = torch.exp(2 * posterior.log_signal_std)[..., None]
+    variance = signal - ((kernel @ precision) * kernel).sum(-1)
+    return mean.mT, variance.clamp_min(LEAST_VARIANCE * signal).sqrt().mT
 
 
 class GaussianDynamics:

@@ -28,9 +28,9 @@ from dropout_uncertainty.stats import (
     t_interval,
 )
 
-__all__ = ["MARGIN_COST", "MARGIN_LOG", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "dearer", "stated"]
+__all__ = ["DOUBT", "MARGIN_COST", "MARGIN_LOG", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "dearer", "stated"]
 
-CHAPTER, MATTERS, DOUBT = "5_4_data_efficiency", "5_4_what_matters", "5_4_is_it_doubt"
+CHAPTER, DOUBT = "5_4_data_efficiency", "5_4_what_doubt_is_worth"
 #: Margins: of the mean cost per step of trials 1-25, of shares, of trials to solve, and of logarithms of deviations.
 MARGIN_COST, MARGIN_SHARE, MARGIN_TRIALS, MARGIN_LOG = 0.05, 0.1, 3.0, math.log(1.1)
 
@@ -257,9 +257,9 @@ STATEMENTS: list[Statement] = [
     stated("DE7a", "The uncertainty in Deep PILCO's model makes learning cheaper: without dropout it costs more.",
            PILCO_TEXT, "more", MARGIN_COST,
            partial(dearer, ("doubt/no-dropout", "what-matters/no-dropout"), "deep-pilco-ours", 25),
-           unit="cost per step", chapter=MATTERS, primary=True),
+           unit="cost per step", chapter=DOUBT, primary=True),
     stated("DE7b", "Without dropout the model promises less cost than the trials then have.", PILCO_TEXT, "more",
-           MARGIN_COST, promised, unit="cost per step", chapter=MATTERS),
+           MARGIN_COST, promised, unit="cost per step", chapter=DOUBT),
     stated("DE7c", "The uncertainty in PILCO's model makes learning cheaper: planning on its mean alone costs more.",
            PILCO_TEXT, "more", MARGIN_COST, partial(dearer, ("doubt/pilco-mean",), "pilco-paper-15", 15),
            unit="cost per step", chapter=DOUBT, primary=True,

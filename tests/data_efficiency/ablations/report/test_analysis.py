@@ -226,7 +226,6 @@ def test_pictures_show_the_numbers(tmp_path):
     figures.gradients(list(axes), seen)
     figures.objective(axes[0], seen)
     figures.optimisers(axes[1], seen)
-    figures.optimism(axes[0], {"ours": found[0].second, "no dropout": found[6].first})
     _, axes = plt.subplots(1, 3)
     figures.curves(list(axes), {"a": found[:2], "b": found[2:4], "c": []})
     figures.scaling(list(axes), matters.times(tmp_path))

@@ -26,12 +26,15 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Interval, in_words, paired_difference, t_interval
 
 __all__ = [
-    "BASELINE", "NOMINAL", "Comparison", "Inside", "Times", "baseline", "check_quick", "compare", "comparisons",
-    "coverage_of_pilco", "factor", "inside", "pair", "results", "share_difference", "times", "words",
+    "BASELINE", "NOMINAL", "Comparison", "Inside", "Times", "baseline", "check_quick", "compare", "compared",
+    "comparisons", "coverage_of_pilco", "factor", "inside", "numbers", "pair", "results", "share_difference", "times",
+    "words",
 ]  # fmt: skip
 
 #: The published record of `OURS`; its first trials are those of the variants' baseline.
 BASELINE = "deep-pilco-ours"
+#: Arrays [R, trial, ...] that comparisons keep, as far as there are any.
+CUT = ("costs", "predicted_cost", "states", "predicted_mean", "predicted_std", "predicted_variance")
 #: The share of a normal distribution within two standard deviations.
 NOMINAL = math.erf(2**0.5)
 
@@ -106,18 +109,18 @@ def compare(name: str, folder: Path | None = None, against: str | None = None) -
     return pair(name, first, second) if first and second else None
 
 
-def pair(name: str, first: Learning, second: Learning) -> Comparison | None:
+def pair(name: str, first: Learning, second: Learning, most: int = TRIALS) -> Comparison | None:
     """Return two runs cut to the seeds and trials that they share; None if they share no seed."""
     seeds = tuple(seed for seed in first.seeds if seed in second.seeds)
     if not seeds:
         return None
-    trials = min(first.trials, second.trials, TRIALS)
+    trials = min(first.trials, second.trials, most)
     return Comparison(name, _cut(first, seeds, trials), _cut(second, seeds, trials))
 
 
 def _cut(learning: Learning, seeds: Sequence[int], trials: int) -> Learning:
     rows = [learning.seeds.index(seed) for seed in seeds]
-    arrays = {name: learning.arrays[name][rows, : trials + 1] for name in ("costs", "predicted_cost")}
+    arrays = {name: learning.arrays[name][rows, : trials + 1] for name in CUT if name in learning.arrays}
     return replace(learning, costs=learning.costs[rows, : trials + 1], seeds=tuple(seeds), arrays=arrays)
 
 
@@ -332,24 +335,31 @@ def results(folder: Path | None = None) -> list[Result]:
 
 
 def _of_variants(folder: Path | None) -> list[Result]:
-    found = []
-    for comparison in comparisons(folder):
-        name, solved = f"{FAMILY}/{comparison.name}", f"solved-by-{comparison.first.trials}"
-        rows = (
-            (solved, comparison.solved, "share", "repetitions solved by then"),
-            (f"{solved}/difference", comparison.solved_difference, "share", "that, less the same of ours, paired"),
-            ("cost/difference", comparison.cost_difference, "cost per step", "mean over trials, less ours, paired"),
-            ("trials-to-solve/difference", comparison.trials_difference, "trials", "mean, less ours, paired"),
+    return [r for found in comparisons(folder) for r in compared(found, f"{FAMILY}/{found.name}", "ours")]
+
+
+def compared(comparison: Comparison, name: str, other: str) -> list[Result]:
+    """Return the numbers of a comparison; the name is that of the config, ``other`` says what it is held against."""
+    solved = f"solved-by-{comparison.first.trials}"
+    rows = (
+        (solved, comparison.solved, "share", "repetitions solved by then"),
+        (f"{solved}/difference", comparison.solved_difference, "share", f"that, less the same of {other}, paired"),
+        ("cost/difference", comparison.cost_difference, "cost per step", f"mean over trials, less {other}, paired"),
+        ("trials-to-solve/difference", comparison.trials_difference, "trials", f"mean, less {other}, paired"),
+    )
+    return numbers(comparison, name, rows)
+
+
+def numbers(comparison: Comparison, name: str, rows: Iterable[tuple[str, Interval, str, str]]) -> list[Result]:
+    """Return numbers (kind, interval, unit, words) of the seeds that a comparison shares."""
+    made = [record for x in (comparison.first, comparison.second) for record in x.records]
+    return [
+        replace(
+            measured(f"{name}/{kind}", interval, made, unit=unit, statistic=words, config=name),
+            seeds=sorted(comparison.first.seeds),
         )
-        made = [record for x in (comparison.first, comparison.second) for record in x.records]
-        found += [
-            replace(
-                measured(f"{name}/{kind}", interval, made, unit=unit, statistic=words, config=name),
-                seeds=sorted(comparison.first.seeds),
-            )
-            for kind, interval, unit, words in rows
-        ]
-    return found
+        for kind, interval, unit, words in rows
+    ]
 
 
 def _of_mechanism(folder: Path | None) -> list[Result]:

@@ -25,7 +25,7 @@ from dropout_uncertainty.settings import config_diff
 from dropout_uncertainty.stats import t_interval
 
 __all__ = [
-    "TINY", "Runs", "added", "broken_promises", "changes", "clouds", "doubtless", "exponents", "gradients", "matching",
+    "TINY", "Runs", "added", "changes", "clouds", "exponents", "gradients", "matching",
     "runs", "searches", "sensitivity", "times", "worse_and_better",
 ]  # fmt: skip
 
@@ -210,33 +210,6 @@ def clouds(seen: Inside, pilco: Learning | None) -> Words:
         f"states {matters.NOMINAL:.1%} should lie within two standard deviations. There were: masks held and free "
         f"{hit['held-free']}, held and matched {hit['held-matched']}, redrawn and free {hit['redrawn-free']}, redrawn "
         f"and matched {hit['redrawn-matched']}{beside}."
-    )
-
-
-def doubtless(found: Runs) -> dict[str, Learning]:
-    """Return ours and the two learners without doubt about the model, by their names in words (DE7)."""
-    sure = [name for name in ("no-dropout", "mean-network") if name in found.by]
-    return {"ours": found.ours} | {VARIANTS[name].words: found.by[name].first for name in sure}
-
-
-def broken_promises(found: Runs) -> Words:
-    """Return by how much late trials cost more than predicted, with and without doubt (DE7)."""
-    trials = found.trials
-
-    def broken(learning: Learning) -> str:
-        gap = learning.trial_costs[:, 1:] - learning.predicted_costs[:, 1:]
-        return words(t_interval(gap[:, trials // 2 :].mean(1)))
-
-    lines = [
-        f"{VARIANTS[x.name].words}: {broken(x.first)}, and {words(x.trials_difference, 1)} trials more than ours until "
-        "the task is solved"
-        for x in (found.by.get("no-dropout"), found.by.get("mean-network"))
-        if x
-    ]
-    return Words(
-        f"In the later half of the trials a step cost more than promised by {broken(found.ours)} (ours); "
-        + "; ".join(lines)
-        + f". What was not solved within {trials} trials counts {trials + 1}."
     )
 
 

@@ -25,7 +25,6 @@ __all__ = [
     "gradients",
     "objective",
     "optimisers",
-    "optimism",
     "parting",
     "scaling",
     "splitting",
@@ -201,18 +200,6 @@ def clouds(axes: Sequence[Axes], seen: Inside, pilco: Learning | None = None) ->
     width.set(xlabel="time [s]", ylabel="log10 of predicted std of the angle [rad]")
     hits.set(xlabel="time [s]", ylabel="true states within two std", ylim=(0, 1.02))
     hits.legend(loc="lower left")
-
-
-def optimism(ax: Axes, learnings: Mapping[str, Learning]) -> Axes:
-    """Draw by how much trials cost more than was predicted of them, for learners by their names in words."""
-    colours = (COLOURS["deep-pilco"], "#882255", "#CC79A7")
-    for (words, learning), colour in zip(learnings.items(), colours, strict=False):
-        gap = (learning.trial_costs - learning.predicted_costs)[:, 1:]
-        band(ax, np.arange(1, learning.trials + 1), gap, colour=colour, label=words)
-    ax.axhline(0, color=DARK, linewidth=0.8)
-    ax.set(xlabel="trial", ylabel="realised - predicted cost per step")
-    ax.legend()
-    return ax
 
 
 def curves(axes: Sequence[Axes], groups: Mapping[str, Sequence[Comparison]]) -> None:

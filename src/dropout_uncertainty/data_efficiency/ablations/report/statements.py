@@ -18,6 +18,7 @@ from dropout_uncertainty.data_efficiency.ablations.report.analysis import (
 )
 from dropout_uncertainty.data_efficiency.report import analysis
 from dropout_uncertainty.data_efficiency.report.statements import (
+    DOUBT,
     MARGIN_COST,
     MARGIN_LOG,
     MARGIN_SHARE,
@@ -141,6 +142,7 @@ STATEMENTS: list[Statement] = [
     stated("DE5c", "With PILCO's own Gaussian process, learning on fixed particles with BFGS costs more than on fresh "
            "ones with Adam, both unmatched.", FRESH, "more", MARGIN_COST,
            partial(of_configs, ("mchutchon/fixed-bfgs-off",), "mchutchon/fresh-adam-off", 15), unit="cost per step",
+           chapter=DOUBT,
            would_test="particles through PILCO's model, fixed with BFGS and fresh with Adam"),
     stated("DE5d", "A search on fixed particles promises less cost than fresh ones have.", FRESH, "more", MARGIN_COST,
            partial(seen, lambda x: x.optimism("fixed-bfgs")), unit="cost per step"),

@@ -1,0 +1,243 @@
+"""What the notebook *What doubt is worth* asks for in one call: the runs of a profile, and their sentences."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dropout_uncertainty.data_efficiency import configs
+from dropout_uncertainty.data_efficiency.ablations import doubt, gradients, literal, mchutchon, shrinking
+from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
+from dropout_uncertainty.data_efficiency.ablations.report import worth
+from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, factor, pair, words
+from dropout_uncertainty.data_efficiency.ablations.report.chapter import TINY
+from dropout_uncertainty.data_efficiency.ablations.report.worth import PAIRS, Cloud, Estimates, coverage, promise
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS
+from dropout_uncertainty.data_efficiency.pilco.learner import LONGER
+from dropout_uncertainty.data_efficiency.report import analysis
+from dropout_uncertainty.data_efficiency.report.analysis import Learning
+from dropout_uncertainty.page.profiles import complete
+from dropout_uncertainty.page.tables import Words
+from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.stats import Interval, t_interval
+
+__all__ = ["Runs", "answers", "choices", "clouds", "grown", "pairs_table", "runs", "trusted"]
+
+SEEDS = (100, 101, 102)
+#: Live runs: what is smaller than in the stored ones; of PILCO, of its particles, and of the two measurements.
+TINY_PILCO: dict[str, Any] = {"trials": 2, "policy_iterations": 4, "model_iterations": 10}
+TINY_PLAN: dict[str, Any] = {"particles": 10, "policy_steps": 8}
+TINY_GRADIENTS: dict[str, Any] = {"particles": 10, "draws": 4, "horizons": (5, 15, 25)}
+#: Choices of the text that are run live.
+LIVE = ("matching", "angle-features")
+
+
+@dataclass(frozen=True)
+class Runs:
+    """What the chapter shows, as far as it has been run."""
+
+    pairs: Sequence[Comparison]
+    literal: dict[str, list[Comparison]]
+    particles: Sequence[Comparison]
+    clouds: Sequence[Cloud]
+    estimates: Estimates | None
+
+    @property
+    def pilco(self) -> Comparison | None:
+        """PILCO planning on its mean beside PILCO."""
+        return next((found for found in self.pairs if found.name == "pilco-mean"), None)
+
+    @property
+    def records(self) -> list[Record]:
+        """The records of all this, each once."""
+        compared = [*self.pairs, *self.particles, *(found for those in self.literal.values() for found in those)]
+        made = [record for x in compared for record in (*x.first.records, *x.second.records)]
+        made += [record for cloud in self.clouds for record in cloud.records]
+        made += self.estimates.records if self.estimates else []
+        return list({record.label: record for record in made}.values())
+
+    def missing(self, part: str) -> Words:
+        """Return in a line what of a part of the page has not been run; nothing where all has."""
+        have: dict[str, Iterable[str]] = {
+            "doubt": {found.first.config for found in self.pairs},
+            "literal": {f"literal/{way}/{found.name}" for way, those in self.literal.items() for found in those},
+            "mchutchon": {x.config for found in self.particles for x in (found.first, found.second)},
+            "shrinking": {f"shrinking/{cloud.name}" for cloud in self.clouds},
+            "gradients": {"gradients/pilco"} if self.estimates else set(),
+        }
+        names = [f"`{name}`" for name in configs.CONFIGS if name.startswith(f"{part}/") and name not in have[part]]
+        listed = ", ".join(names) if len(names) <= 6 else f"{len(names)} of the learners `{part}/…`"
+        return Words(f"*Not run yet: {listed}.*" if names else "")
+
+
+def runs(profile: str) -> Runs:
+    """Return the stored runs; in ``quick`` live ones that are much too short to tell anything."""
+    families = (doubt, literal, mchutchon, shrinking, gradients)
+    complete(profile, [unit for family in families for name in family.CONFIGS for unit in configs.units(name)])
+    if profile == "quick":
+        return Runs(_live_pairs(), _live_literal(), _live_particles(), _live_clouds(), _live_estimates())
+    return Runs(
+        worth.pairs(), worth.literal_pairs(), worth.particle_pairs(), worth.clouds(), worth.estimates()
+    )  # fmt: skip
+
+
+def _finished(name: str, config: Any) -> Any:
+    process = configs.units(name, SEEDS)[0].start(config, SEEDS)
+    while process.done < process.total:
+        process.advance()
+    return process
+
+
+def _learned(name: str, config: Any) -> Learning:
+    return analysis.from_arrays(name, config.plant, _finished(name, config).result(), SEEDS)
+
+
+def _beside(name: str, first: Learning, second: Learning) -> list[Comparison]:
+    found = pair(name, first, second, worth.LONGEST)
+    return [found] if found else []
+
+
+def _live_pairs() -> list[Comparison]:
+    learned = {"deep-pilco-ours": _learned("deep-pilco-ours", replace(OURS, **TINY))}
+    learned["pilco-paper-15"] = _learned("pilco-paper-15", replace(LONGER["pilco-paper-15"], **TINY_PILCO))
+    for name, config in doubt.CONFIGS.items():
+        if name != "doubt/as-text-mean":
+            learned[name] = _learned(name, replace(config, **(TINY_PILCO if "pilco" in name else TINY)))
+    return [
+        found
+        for name in PAIRS
+        if f"doubt/{name}" in learned
+        for found in _beside(name, learned[f"doubt/{name}"], learned[doubt.WITH_DOUBT[name]])
+    ]
+
+
+def _live_literal() -> dict[str, list[Comparison]]:
+    found = {}
+    for way, base in (("add", AS_TEXT), ("drop", OURS)):
+        other = _learned(worth.LITERAL[way], replace(base, **TINY))
+        names = {change: f"literal/{way}/{change}" for change in LIVE}
+        found[way] = [
+            one
+            for change, name in names.items()
+            for one in _beside(change, _learned(name, replace(literal.CONFIGS[name], **TINY)), other)
+        ]
+    return found
+
+
+def _live_particles() -> list[Comparison]:
+    first, second = (
+        _learned(name, replace(config, **{**TINY_PILCO, "planning": replace(config.planning, **TINY_PLAN)}))
+        for name, config in mchutchon.CONFIGS.items()
+        if name.endswith("-off")
+    )
+    return _beside("off", first, second)
+
+
+def _live_clouds() -> list[Cloud]:
+    config = replace(shrinking.CONFIGS["shrinking/as-text"], **TINY, many=100)
+    return [worth.cloud("as-text", config.particles, _finished("shrinking/as-text", config).result())]
+
+
+def _live_estimates() -> Estimates:
+    config = replace(gradients.CONFIGS["gradients/pilco"], **TINY_PILCO, **TINY_GRADIENTS)
+    return Estimates.of(config.horizons, config.draws, _finished("gradients/pilco", config).result())
+
+
+def pairs_table(found: Runs) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: each pair's differences, and its broken promises and coverage."""
+    heads = ["", "pairs", "cost", "trials to solve", "promise broken by", "of the other", "coverage", "of the other"]
+
+    def share(learning: Learning) -> str | None:
+        values = coverage(learning)
+        return None if values is None else f"{values.mean():.0%}"
+
+    return heads, [
+        [
+            PAIRS[x.name], len(x.first.seeds), words(x.cost_difference), words(x.trials_difference, 1),
+            words(t_interval(promise(x.first))), words(t_interval(promise(x.second))), share(x.first), share(x.second),
+        ]
+        for x in found.pairs
+    ]  # fmt: skip
+
+
+def read(difference: Interval) -> str:
+    """Return what an interval of a difference of costs says in words."""
+    if difference.low > 0:
+        return "costs more"
+    return "costs less" if difference.high < 0 else "may cost more or less"
+
+
+def answers(found: Runs) -> Words:
+    """Return, for each pair that has been run, what its interval says."""
+    lines = [
+        f"- **{PAIRS[x.name]}** {read(x.cost_difference)}: {words(x.cost_difference)} per step over {x.first.trials} "
+        f"trials, {len(x.first.seeds)} pairs with {x.second.label}."
+        for x in found.pairs
+    ]
+    return Words("\n".join(lines))
+
+
+def trusted(found: Comparison | None, trials: int = 5) -> Words:
+    """Return what a sure PILCO expected of its first trials, and what they cost."""
+    if found is None:
+        return Words("*Not run yet: `doubt/pilco-mean`.*")
+
+    def tell(learning: Learning) -> str:
+        here = slice(1, trials + 1)
+        said, cost = (t_interval(x[:, here].mean(1)) for x in (learning.predicted_costs, learning.trial_costs))
+        return f"{words(said)} a step, and they cost {words(cost)}"
+
+    count = min(trials, found.first.trials)
+    return Words(
+        f"Planning on its mean, PILCO expected of its first {count} trials {tell(found.first)}. With its doubt it "
+        f"expected {tell(found.second)}."
+    )
+
+
+def choices(found: Runs) -> Words:
+    """Return which choices help where they are added, and which hurt where they are taken, beyond their interval."""
+    helps = [x.name for x in found.literal["add"] if x.cost_difference.high < 0]
+    needed = [x.name for x in found.literal["drop"] if x.cost_difference.low > 0]
+    if not any(found.literal.values()):
+        return Words("")
+    tell = lambda names: ", ".join(name.replace("-", " ") for name in names) or "none"  # noqa: E731
+    return Words(
+        f"Added to the text's learner, these make learning cheaper beyond their interval: {tell(helps)}. Taken from "
+        f"ours, these make it dearer: {tell(needed)}. In both directions: {tell([n for n in helps if n in needed])}."
+    )
+
+
+def clouds(found: Runs) -> Words:
+    """Return what is left of the angle's variance at the end of a predicted trial, learner by learner."""
+
+    def tell(shares: np.ndarray) -> str:
+        return words(factor(np.log(shares[..., -1]).mean(1)))
+
+    lines = [
+        f"- **{cloud.name}**, {cloud.particles} particles: {tell(cloud.left['plain'])} with plain noise, "
+        f"{tell(cloud.left['standardised'])} with standardised; in the middle draw {tell(cloud.typical['plain'])} and "
+        f"{tell(cloud.typical['standardised'])}."
+        for cloud in found.clouds
+    ]
+    return Words("\n".join(lines))
+
+
+def grown(found: Estimates | None) -> Words:
+    """Return by how much the variance of each estimate grows with the trial, and what total propagation loses."""
+    if found is None:
+        return Words("")
+    first, last = found.horizons[0], found.horizons[-1]
+    logs = {name: found.log(name) for name in ESTIMATES}
+    decades = {name: words(t_interval(log[:, -1] - log[:, 0]), 1) for name, log in logs.items()}
+    share = {name: factor(np.log(10) * (logs["total-propagation"] - log)[:, -1]) for name, log in logs.items()}
+    (exact, error), (mixed, _) = (found.whole(name) for name in ("pathwise", "total-propagation"))
+    return Words(
+        f"From {first} to {last} steps the variance grows by {decades['pathwise']} powers of ten (pathwise), "
+        f"{decades['likelihood-ratio']} (likelihood ratio) and {decades['total-propagation']} (total propagation). At "
+        f"{last} steps that of the third is {words(share['pathwise'], 4)} times that of the first, and "
+        f"{words(share['likelihood-ratio'], 4)} times that of the second.\n\nBut is it the same gradient? There, at "
+        f"the last policy, its mean has {words(factor(np.log(mixed / exact)))} times the norm of the pathwise mean, "
+        f"which is known to within {np.median(error):.0%} of itself in the middle repetition; without bias it would "
+        "be 1."
+    )

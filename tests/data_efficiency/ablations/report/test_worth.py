@@ -1,0 +1,155 @@
+"""What doubt is worth, from small made-up records: pairs, promises, coverage, both directions, clouds, pictures."""
+
+import matplotlib
+import numpy as np
+import pytest
+
+matplotlib.use("agg")
+import matplotlib.pyplot as plt
+
+from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
+from dropout_uncertainty.data_efficiency.ablations.report import worth, worth_chapter, worth_figures
+from dropout_uncertainty.data_efficiency.configs import CONFIGS
+from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
+from dropout_uncertainty.judging.collect import STATEMENTS
+from dropout_uncertainty.judging.statements import judge
+from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_dict, config_hash
+
+RUNS, STEPS = 40, PAPER.steps
+rng = np.random.default_rng(100)
+
+
+def write(folder, name, arrays, runs=RUNS):
+    plain = config_dict(CONFIGS[name])
+    header = {
+        "experiment": "data_efficiency", "name": name, "seeds": list(range(runs)), "config": plain,
+        "config_hash": config_hash(plain), "device": "cpu", "precision": "float32", "provenance": {},
+    }  # fmt: skip
+    records.write(folder / "data_efficiency" / name / f"000-{runs - 1:03d}.npz", arrays, header)
+
+
+def learned(folder, name, cost, said=None, off=0.0, runs=RUNS):
+    """Write trials that cost so much and were said to cost ``said``; angles leave the prediction by ``off``."""
+    trials = CONFIGS[name].trials + 1
+    costs = cost + 0.01 * rng.standard_normal((runs, 1, 1)) * np.ones((1, trials, STEPS))
+    states = np.zeros((runs, trials, STEPS + 1, 4))
+    states[..., 3] = off
+    arrays = {
+        "costs": costs, "predicted_cost": np.full_like(costs, cost if said is None else said), "states": states,
+        "predicted_mean": np.zeros_like(states),
+    }  # fmt: skip
+    arrays["predicted_variance" if "pilco-" in name.removeprefix("deep-") else "predicted_std"] = np.ones_like(states)
+    write(folder, name, {key: value.astype(np.float32) for key, value in arrays.items()}, runs)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return records in which doubt is worth 0.1 a step to PILCO, nothing to Deep PILCO, and an ensemble costs less."""
+    folder = tmp_path_factory.mktemp("worth")
+    learned(folder, "pilco-paper-15", 0.5)
+    learned(folder, "doubt/pilco-mean", 0.6, said=0.2, off=3.0)
+    learned(folder, "deep-pilco-ours", 0.4)
+    learned(folder, "doubt/mean-network", 0.4)
+    learned(folder, "doubt/ensemble", 0.3)
+    learned(folder, "what-matters/no-dropout", 0.5, runs=10)
+    learned(folder, "deep-pilco-as-text", 0.9)
+    learned(folder, "literal/add/matching", 0.7, runs=10)
+    learned(folder, "literal/drop/matching", 0.5, runs=10)
+    learned(folder, "literal/drop/clip", 0.4, runs=10)
+    for matching, cost in (("off", 0.8), ("full", 0.6)):
+        learned(folder, f"mchutchon/fixed-bfgs-{matching}", cost, runs=10)
+    learned(folder, "mchutchon/fresh-adam-off", 0.6, runs=10)
+    many = np.ones((10, 3, STEPS, 4), np.float32)
+    few = np.stack((np.full_like(many, 0.1), many), 2)
+    write(folder, "shrinking/ours", {"costs": many[..., 0], "many_variance": many, "mean_variance": few,
+                                     "median_variance": few / 2}, 10)  # fmt: skip
+    horizons = len(CONFIGS["gradients/pilco"].horizons)
+    variance = np.exp(rng.standard_normal((10, 3, 1, 1)) + np.array([[2.0], [1.0], [0.0]]) * np.arange(horizons))
+    arrays = {"costs": many[..., 0], "gradient_variance": variance.astype(np.float32)}
+    norm = np.broadcast_to(np.array([[4.0], [4.0], [2.0]]), variance.shape).astype(np.float32)
+    write(folder, "gradients/pilco", arrays | {"gradient_norm": norm}, 10)
+    return folder
+
+
+def test_every_pair_has_words_and_an_other():
+    assert {f"doubt/{name}" for name in worth.PAIRS} == {name for name in CONFIGS if name.startswith("doubt/")}
+
+
+def test_pairs_share_seeds_and_a_shorter_run_stands_in(folder):
+    found = {pair.name: pair for pair in worth.pairs(folder)}
+    assert set(found) == {"mean-network", "no-dropout", "pilco-mean", "ensemble"}  # the other ensemble is not run
+    assert {name: (len(x.first.seeds), x.first.trials) for name, x in found.items()} == {
+        "mean-network": (40, 25), "no-dropout": (10, 20), "pilco-mean": (40, 15), "ensemble": (40, 25),
+    }  # fmt: skip
+    assert found["pilco-mean"].cost_difference.value == pytest.approx(0.1, abs=0.02)
+
+
+def test_numbers_have_their_ids(folder):
+    ids = {result.id: result for result in worth.results(folder)}
+    assert ids["doubt/pilco-mean/promise"].ours == pytest.approx(0.4, abs=0.01)
+    assert ids["doubt/pilco-mean/promise/difference"].seeds == list(range(40))
+    assert ids["doubt/pilco-mean/coverage"].ours == pytest.approx(0.75)  # all dimensions but the angle
+    assert ids["doubt/ensemble/cost/difference"].high < 0
+    assert ids["literal/add/matching/cost/difference"].ours == pytest.approx(-0.2, abs=0.02)
+    assert ids["literal/drop/matching/cost/difference"].ours == pytest.approx(0.1, abs=0.02)
+    assert ids["mchutchon/fixed-bfgs-full/cost"].ours == pytest.approx(0.6, abs=0.02)
+    assert ids["mchutchon/fixed-bfgs-off/cost/difference"].ours == pytest.approx(0.2, abs=0.02)
+    assert "mchutchon/fixed-bfgs-full/cost/difference" not in ids  # nothing to hold it against
+    assert ids["shrinking/ours/plain"].ours == pytest.approx(0.1)
+    assert ids["shrinking/ours/standardised"].ours == 1
+    assert not any(name.startswith(("what-matters", "doubt/no-dropout")) for name in ids)
+    growth = [ids[f"gradients/pilco/{name}/25"].ours - ids[f"gradients/pilco/{name}/5"].ours for name in ESTIMATES]
+    np.testing.assert_allclose(growth, np.array([2.0, 1.0, 0.0]) * 4 * np.log10(np.e), rtol=1e-5)
+
+
+def test_without_records_there_is_nothing_and_the_page_says_so(tmp_path, monkeypatch):
+    assert worth.results(tmp_path) == []
+    empty = worth_chapter.Runs(
+        worth.pairs(tmp_path), worth.literal_pairs(tmp_path), worth.particle_pairs(tmp_path), worth.clouds(tmp_path),
+        worth.estimates(tmp_path),
+    )  # fmt: skip
+    assert empty.missing("gradients").markdown == "*Not run yet: `gradients/pilco`.*"
+    assert empty.missing("literal").markdown == "*Not run yet: 26 of the learners `literal/…`.*"
+    assert empty.records == []
+    for picture, of in (
+        ("forest", empty.pairs), ("covered", empty.pairs), ("first_trials", empty.pilco), ("left", empty.clouds),
+        ("both_ways", empty.literal), ("particles", empty.particles), ("estimates", empty.estimates),
+    ):  # fmt: skip
+        assert getattr(worth_figures, picture)(of) is None
+    assert worth_chapter.trusted(empty.pilco).markdown == "*Not run yet: `doubt/pilco-mean`.*"
+    assert worth_chapter.choices(empty).markdown == worth_chapter.clouds(empty).markdown == ""
+
+
+def test_pictures_and_sentences_show_the_numbers(folder):
+    found = worth_chapter.Runs(
+        worth.pairs(folder), worth.literal_pairs(folder), worth.particle_pairs(folder), worth.clouds(folder),
+        worth.estimates(folder),
+    )  # fmt: skip
+    points = [line for line in worth_figures.forest(found.pairs).axes[0].lines if line.get_marker() == "o"]
+    expected = [pair.cost_difference.value for pair in found.pairs]
+    np.testing.assert_allclose([point.get_xdata()[0] for point in points], expected)
+    assert len(worth_figures.covered(found.pairs).axes) == 4
+    assert len(worth_figures.both_ways(found.literal).axes[0].get_yticks()) == 2
+    said, cost = worth_figures.first_trials(found.pilco).axes[0].lines[:2]
+    assert (cost.get_ydata() - said.get_ydata()).min() > 0.35
+    for figure in (worth_figures.particles(found.particles), worth_figures.left(found.clouds)):
+        assert len(figure.axes) == 1
+    assert len(worth_figures.estimates(found.estimates).axes[0].lines) == len(ESTIMATES)
+    text = worth_chapter.answers(found).markdown
+    assert "**PILCO, planned on its mean** costs more" in text
+    assert "**ensemble in the place of dropout** costs less" in text
+    assert "In both directions: matching." in worth_chapter.choices(found).markdown
+    assert "0.10 [0.10, 0.10] with plain noise" in worth_chapter.clouds(found).markdown
+    assert "has 0.50 [0.50, 0.50] times the norm" in worth_chapter.grown(found.estimates).markdown
+    assert "expected of its first 5 trials 0.20" in worth_chapter.trusted(found.pilco).markdown
+    assert (
+        found.missing("doubt").markdown
+        == "*Not run yet: `doubt/no-dropout`, `doubt/ensemble-mean`, `doubt/as-text-mean`.*"
+    )
+    plt.close("all")
+
+
+def test_statements_are_judged_by_these_records(folder):
+    verdicts = {name: judge([STATEMENTS[name]], folder)[0].plain for name in ("DE7c", "DE7d", "DE5c")}
+    assert verdicts == {"DE7c": "supported", "DE7d": "no difference", "DE5c": "supported"}
