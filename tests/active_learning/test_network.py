@@ -4,6 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
+from dropout_uncertainty.active_learning import network
 from dropout_uncertainty.active_learning.network import BayesianCNN
 
 
@@ -34,6 +35,16 @@ def test_the_network_is_that_of_the_thesis(images, rows):
         expected = plain(net, replica, images, masks)
         torch.testing.assert_close(net(batch, masks)[replica], expected, rtol=1e-9, atol=1e-12)
     torch.testing.assert_close(net(batch).exp().sum(-1), torch.ones(2, 6, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("replicas", [1, 2])
+def test_features_are_the_same_in_parts_that_stay_in_cache(images, replicas, monkeypatch):
+    monkeypatch.setattr(network, "CACHED", 4 * replicas)  # six images are two parts, the second shorter
+    net = BayesianCNN(range(100, 100 + replicas), compute=torch.float64)
+    batch = images.expand(replicas, -1, -1, -1)
+    with torch.inference_mode():
+        parts = net.features(batch)
+    torch.testing.assert_close(parts, net.features(batch).detach(), rtol=1e-12, atol=1e-14)
 
 
 def test_a_shared_draw_is_one_function_and_rows_of_masks_are_many(images):

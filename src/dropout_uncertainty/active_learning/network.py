@@ -23,6 +23,9 @@ __all__ = ["INITIALISATIONS", "BayesianCNN"]
 INITIALISATIONS = {"keras-0.3": lambda filters, area: filters, "glorot": lambda filters, area: filters * area}
 
 FILTERS, HIDDEN, CLASSES, SIDE = 32, 128, 10, 28
+#: Images of all replicas that a CPU takes through the convolutions at a time when nothing is learned: of more, the maps
+#: would leave the cache.
+CACHED = 200
 
 
 class BayesianCNN(nn.Module):
@@ -118,7 +121,10 @@ class BayesianCNN(nn.Module):
                 f"{list(images.shape)}; `simulate` takes other images, with a network of your own"
             )
         maps = images.transpose(0, 1).to(self.compute).contiguous(memory_format=torch.channels_last)
-        return self._flat(self._block(maps, 0))
+        if maps.is_cuda or torch.is_grad_enabled():
+            return self._flat(self._block(maps, 0))
+        parts = maps.split(max(1, CACHED // len(self.seeds)))
+        return torch.cat([self._flat(self._block(part, 0)) for part in parts], 1)
 
     def draw(self, count: int, *path: str | int) -> Masks:
         """Return ``count`` weight draws per replica: masks [R, count, width], one per dropout site.

@@ -193,7 +193,7 @@ def objective(
             prediction = predict(shape.policy(leaf), plant, draws, plan.matching)
             value = prediction.costs(plant, plan.cost_of).mean(-1)
             (gradient,) = torch.autograd.grad(value.sum(), leaf)
-    return value.detach(), gradient
+    return value.detach().clone(), gradient  # the clone of what inference mode made is a tensor like others
 
 
 @dataclass(frozen=True)

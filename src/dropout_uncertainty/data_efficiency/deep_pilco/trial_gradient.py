@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import cast
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DrawnFunction
@@ -36,6 +36,7 @@ def covers(draws: Draws, matching: str, cost_of: str) -> bool:
     )
 
 
+@torch.inference_mode()
 def value_and_gradient(
     matrix: Float[Tensor, "R Q N"], weights: Float[Tensor, "R N 1"], plant: CartPole, draws: Draws
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, "R Q N"], Float[Tensor, "R N 1"]]:
@@ -55,7 +56,8 @@ def value_and_gradient(
     # The output u is a sum over basis functions, so one product gives the gradient in both arrays.
     in_output = trial.inputs[:, POLICY] * (force_gradient * _force_slope(trial.output, plant.force_limit))
     gradient = in_output.flatten(2) @ trial.heights.flatten(1, 2)
-    gradient, value = (x.masked_fill(trial.failed.view(-1, *(1,) * (x.ndim - 1)), torch.nan) for x in (gradient, value))
+    failed = (trial.info > 0).any(0)
+    gradient, value = (x.masked_fill(failed.view(-1, *(1,) * (x.ndim - 1)), torch.nan) for x in (gradient, value))
     return value, gradient * weights.mT, gradient[:, -1:].mT
 
 
@@ -93,7 +95,7 @@ class _Trial:
     output: Float[Tensor, "R 1 T K"]  # of the policy, before the squash
     centred: Float[Tensor, "T R 4 K"]
     factor: Float[Tensor, "T R 4 4"]
-    failed: Bool[Tensor, " R"]  # a covariance had no factor
+    info: Int[Tensor, "T R"]  # above 0 where a covariance had no factor
     hidden: list[list[Tensor]]  # by step and layer
 
     @classmethod
@@ -111,7 +113,7 @@ class _Trial:
             new(steps + 1, runs, dim, count), new(runs, ONE.stop, steps, count).fill_(1.0),
             new(runs, steps, count, basis), new(runs, 1, steps, count),
             new(steps, runs, dim, count), new(steps, runs, dim, dim),
-            torch.zeros(runs, dtype=torch.bool, device=device),
+            torch.empty(steps, runs, dtype=torch.int32, device=device),
             [[new(runs, count, width) for width in widths] for _ in range(steps)],
         )  # fmt: skip
 
@@ -121,7 +123,6 @@ class _Trial:
         _, steps, count, dim = draws.noise.shape
         widths = tuple(weight.shape[-1] for weight in networks[0].weights[:-1])
         trial = cls.empty(draws.noise.shape, matrix.shape[-1], widths, matrix.dtype, matrix.device)
-        trial.failed.zero_()
         trial.states[0] = draws.start.mT
         scale, jitter = _jitter(matrix, dim, count)
         for t in range(steps):
@@ -131,9 +132,7 @@ class _Trial:
             mean = moved.mean(-1, keepdim=True)
             centred = torch.sub(moved, mean, out=trial.centred[t])
             cov = torch.addcmul(jitter, torch.bmm(centred, centred.mT), scale)
-            factor, info = torch.linalg.cholesky_ex(cov)
-            trial.factor[t] = factor
-            trial.failed |= info > 0
+            factor, _ = torch.linalg.cholesky_ex(cov, out=(trial.factor[t], trial.info[t]))
             torch.baddbmm(mean, factor, draws.noise[:, t].mT, out=trial.states[t + 1])
         return trial
 
