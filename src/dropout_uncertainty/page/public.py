@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["LAUNCH", "REPOSITORY", "repository", "setup", "write_launchable"]
 
 REPOSITORY = "DROPOUT_UNCERTAINTY_REPOSITORY"
+SITEMAP = "http://www.sitemaps.org/schemas/sitemap/0.9"
 #: The branch with the notebooks of ``write_launchable``, from which Colab and Binder start.
 LAUNCH = "launch"
 SERVICES = {
@@ -97,7 +98,7 @@ def _place_page(app: "Sphinx", page: str, template: str, context: dict[str, Any]
     if doctree is not None:
         paragraph = next(iter(doctree.findall(lambda node: node.tagname == "paragraph")), None)
         card = {
-            "title": re.sub(r"<[^>]*>", "", html.unescape(context["title"])),
+            "title": html.unescape(re.sub(r"<[^>]*>", "", context["title"])),
             "type": "article",
             "url": app.config.html_baseurl + app.builder.get_target_uri(page),
             "site_name": app.config.project,
@@ -114,6 +115,3 @@ def _write_sitemap(app: "Sphinx", exception: Exception | None) -> None:
         entries = "".join(f"<url><loc>{html.escape(page)}</loc></url>\n" for page in pages)
         text = f'<?xml version="1.0" encoding="utf-8"?>\n<urlset xmlns="{SITEMAP}">\n{entries}</urlset>\n'
         Path(app.outdir, "sitemap.xml").write_text(text, encoding="utf-8")
-
-
-SITEMAP = "http://www.sitemaps.org/schemas/sitemap/0.9"
