@@ -66,7 +66,7 @@ def test_a_public_book(small_book, monkeypatch):
         assert {URL, f"{URL}/edit/main/{source}"} <= links
         assert any(link.startswith(f"{URL}/issues/new?") for link in links)
         cards = {tag["property"]: tag["content"] for tag in found[name].find_all("meta", property=re.compile("^og:"))}
-        assert cards["og:title"] == title
+        assert (cards["og:title"], cards["og:site_name"]) == (title, "Dropout Uncertainty in Action")
         assert cards["og:url"] == f"https://someone.github.io/their-book/{name}.html"
         footer = found[name].find(class_="extra_footer")
         assert f"Version {dropout_uncertainty.__version__}, commit " in footer.get_text()

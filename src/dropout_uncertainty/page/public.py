@@ -8,6 +8,7 @@ import html
 import json
 import os
 import re
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,8 +102,8 @@ def _place_page(app: "Sphinx", page: str, template: str, context: dict[str, Any]
             "title": html.unescape(re.sub(r"<[^>]*>", "", context["title"])),
             "type": "article",
             "url": app.config.html_baseurl + app.builder.get_target_uri(page),
-            "site_name": app.config.project,
-            "description": " ".join(paragraph.astext().split())[:200] if paragraph else "",
+            "site_name": app.config.html_title,
+            "description": textwrap.shorten(paragraph.astext(), 200, placeholder=" …") if paragraph else "",
         }
         context["metatags"] = context.get("metatags", "") + "".join(
             f'\n<meta property="og:{key}" content="{html.escape(value)}" />' for key, value in card.items()
