@@ -1,4 +1,4 @@
-# Two commands do everything on a bare Python 3.11, 3.12 or 3.13: `make book` and `make test`.
+# Two commands do everything on a bare Python 3.11 to 3.14: `make book` and `make test`.
 BIN := .venv/bin
 READY := .venv/.ready
 RUN := $(BIN)/dropout-uncertainty
@@ -44,11 +44,11 @@ clean: ## remove what was built; unfinished runs (records/.partial) stay
 
 # The environment is made again when what it holds has changed.
 $(READY): pyproject.toml constraints.txt
-	@for python in $(PYTHON) python3.13 python3.12 python3.11 python3 python; do \
-	  if $$python -c 'import sys, venv; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null; then \
+	@for python in $(PYTHON) python3.13 python3.12 python3.11 python3.14 python3 python; do \
+	  if $$python -c 'import sys, venv; sys.exit(not (3, 11) <= sys.version_info < (3, 15))' 2>/dev/null; then \
 	    echo "Setting up .venv with $$($$python --version); the first time takes some minutes."; \
 	    $$python -m venv .venv \
 	      && $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[book,test]' \
 	      && touch $@; exit; \
 	  fi; \
-	done; echo "No Python 3.11, 3.12 or 3.13 was found: install one, or name it with make PYTHON=..." >&2; exit 1
+	done; echo "No Python 3.11, 3.12, 3.13 or 3.14 was found: install one, or name it with make PYTHON=..." >&2; exit 1

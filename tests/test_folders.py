@@ -159,6 +159,17 @@ def test_the_version_is_printed():
     assert command("--version").stdout.strip() == dropout_uncertainty.__version__
 
 
+def test_a_shell_completes_commands():
+    asked = {
+        "_DROPOUT_UNCERTAINTY_COMPLETE": "complete_bash",
+        "COMP_WORDS": "dropout-uncertainty re",
+        "COMP_CWORD": "1",
+    }
+    script = Path(sys.executable).with_name("dropout-uncertainty")
+    outcome = subprocess.run([script], env={**os.environ, **asked}, capture_output=True, text=True, check=True)
+    assert sorted(outcome.stdout.split()) == ["records", "results"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -13,6 +13,7 @@ import nbformat
 import psutil
 import pytest
 import toy
+from jupyter_client.manager import start_new_kernel
 
 from dropout_uncertainty.runs import execute
 from dropout_uncertainty.runs.executors import processes
@@ -188,6 +189,7 @@ class _Vanishing(ProcessPoolExecutor):
 
 NOTEBOOK = """
 import toy
+from jupyter_client.manager import start_new_kernel
 from pathlib import Path
 from dropout_uncertainty.runs import execute, executors
 toy.CONFIGS["slow"] = toy.Walk(steps=300, seconds=0.2)
@@ -209,3 +211,22 @@ def test_a_notebook_leaves_neither_kernel_nor_workers(command, tmp_path, number)
     status, sentence = end(process, number, group=number == signal.SIGINT)
     if number == signal.SIGINT:
         assert (status, sentence) == (130, "stopped by SIGINT; go on with: program.py notebooks")
+
+
+def test_a_stopped_cell_leaves_no_worker_and_the_kernel_goes_on(tmp_path):
+    manager, client = start_new_kernel(cwd=tmp_path, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})
+    try:
+        asked = client.execute(NOTEBOOK.replace("../kernel", "kernel"))
+        at_work(tmp_path, 2)
+        below = psutil.Process(manager.provisioner.pid).children()
+        workers = [process for process in below if "spawn_main" in " ".join(process.cmdline())]
+        assert len(workers) == 2
+        manager.interrupt_kernel()  # the stop button of JupyterLab
+        while (reply := client.get_shell_msg(timeout=2 * SOON))["parent_header"]["msg_id"] != asked:
+            pass  # the answer to something asked before
+        assert reply["content"]["ename"] == "KeyboardInterrupt"
+        assert psutil.wait_procs(workers, SOON)[1] == []
+        assert client.execute("1", reply=True, timeout=2 * SOON)["content"]["status"] == "ok"
+    finally:
+        client.stop_channels()
+        manager.shutdown_kernel(now=True)

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 HTML = ROOT / "_build" / "html"
 
 
-# --- the machinery, on a small book in a temporary folder
+# --- the machinery, on small books
 
 
 def notebook(*sources, parameters="profile = 'recorded'"):
@@ -28,28 +28,6 @@ def notebook(*sources, parameters="profile = 'recorded'"):
         cells=[*cells, *map(nbformat.v4.new_code_cell, sources)],
         metadata={"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}},
     )
-
-
-@pytest.fixture
-def small_book(tmp_path, monkeypatch):
-    """Return a function that writes notebooks, given by name, into a repository with the real configuration."""
-    monkeypatch.setattr(book, "_repository", lambda: tmp_path)
-    (tmp_path / "notebooks").mkdir()
-    pages = tmp_path / "book"
-    pages.mkdir()
-    (tmp_path / "_config.yml").write_text((ROOT / "_config.yml").read_text())
-    (pages / "references.bib").write_text("")
-    (pages / "_static").mkdir()
-    (pages / "_static" / "favicon.svg").write_text("<svg/>")
-
-    def write(**books):
-        for name, content in books.items():
-            nbformat.write(content, tmp_path / "notebooks" / f"{name}.ipynb")
-        toc = ["format: jb-book", "root: index", "chapters:", *(f"- file: {name}" for name in books)]
-        (pages / "_toc.yml").write_text("\n".join(toc))
-        return tmp_path
-
-    return write
 
 
 def test_unknown_profile_and_notebook_are_refused_before_anything_runs(small_book):
@@ -68,6 +46,24 @@ def test_failing_cell_is_named_with_its_error(small_book):
         "notebooks/one.ipynb stopped in its cell 3 (`y = x / 0  # the culprit`): ZeroDivisionError: division by zero"
     )
     assert not (folder / "_build/notebooks/one.ipynb").exists()
+
+
+@pytest.mark.parametrize("pause", [0, 1])  # the kernel may say that it has begun the cell, or not come to that
+def test_kernel_that_dies_is_reported_with_its_cell(small_book, pause):
+    folder = small_book(one=notebook("x = 1", f"import os, time; time.sleep({pause}); os._exit(1)", "y = 2"))
+    with pytest.raises(
+        book.BookError, match=r"one\.ipynb stopped in its cell 3 \(`import os, time; .*`\): Kernel died"
+    ):
+        book.run_notebooks("quick")
+    assert not (folder / "_build/notebooks/one.ipynb").exists()
+
+
+def test_notebook_without_a_kernel_is_refused(small_book):
+    content = notebook("x = 1")
+    content.metadata["kernelspec"]["name"] = "octave"
+    small_book(one=content)
+    with pytest.raises(book.BookError, match=r"one\.ipynb stopped before its first cell: No such kernel named octave"):
+        book.run_notebooks("quick")
 
 
 def test_second_process_is_refused(small_book):

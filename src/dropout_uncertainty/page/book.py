@@ -1,7 +1,8 @@
 """Make the book: run the notebooks, lay the pages out and build the HTML.
 
 Everything made here lies under ``_build/``: ``notebooks/`` (executed), ``source/`` (the prose of ``book/`` and the
-executed notebooks side by side) and ``html/``. What an interrupted run leaves behind is removed by the next one.
+executed notebooks side by side) and ``html/``; of a book with a public address also ``launch/`` (see ``public``). What
+an interrupted run leaves behind is removed by the next one.
 """
 
 import ast
@@ -23,7 +24,7 @@ from filelock import FileLock, Timeout
 
 from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
-from dropout_uncertainty.page import profiles
+from dropout_uncertainty.page import profiles, public
 from dropout_uncertainty.runs import executors, records
 
 __all__ = ["BookError", "build", "notebooks", "run_notebooks", "times"]
@@ -32,6 +33,7 @@ __all__ = ["BookError", "build", "notebooks", "run_notebooks", "times"]
 NOTEBOOKS, PROSE, CONFIG = Path("notebooks"), Path("book"), Path("_config.yml")
 BUILD = Path("_build")
 EXECUTED, RUNNING, SOURCE, HTML = BUILD / "notebooks", BUILD / "running", BUILD / "source", BUILD / "html"
+LAUNCHABLE = BUILD / "launch"
 # beside the source as beside the notebooks, so that the same links lead to them from both
 RECORDS, COPIED = Path("records"), BUILD / "records"
 LOG = BUILD / "jupyter-book.log"
@@ -85,12 +87,13 @@ def build(profile: str | None = None, *, run: bool = True) -> Path:
         run: whether the notebooks are run.
 
     Raises:
-        UserError: if the profile is unknown, or the folder of the records is not there.
+        UserError: if the profile is unknown, the folder of the records is not there, or the public address is none.
         BookError: if a notebook fails, was not run before or in another profile, or jupyter-book reports an error or a
             warning.
     """
     if profile is not None:
         profiles.check(profile)
+    address = public.repository()
     begin = time.monotonic()
     with _only_one():
         if run:
@@ -99,6 +102,8 @@ def build(profile: str | None = None, *, run: bool = True) -> Path:
             _check_profile(profile)
         _assemble()
         _build_html()
+        if address:
+            public.write_launchable(NOTEBOOKS, LAUNCHABLE)
         page = HTML.resolve() / "index.html"
     print(f"The book is ready after {_duration(time.monotonic() - begin)}; open {page}")
     return page
@@ -179,19 +184,31 @@ def _execute(name: str, profile: str, places: int) -> dict[str, float]:
                 extra_arguments=["--log-level=ERROR"],  # the kernel warns of every connection that is not encrypted
             )
     except papermill.PapermillExecutionError as error:
-        # counted from 0 with the injected cell, this is the number from 1 without it
-        first_line = next(iter(error.source.strip().splitlines()), "")
-        raise BookError(
-            f"{source} stopped in its cell {error.cell_index} (`{first_line}`): {error.ename}: {error.evalue}"
-        ) from None
+        cell = _cell(error.cell_index, error.source)
+        raise BookError(f"{source} stopped in its {cell}: {error.ename}: {error.evalue}") from None
     except failures as error:
-        raise BookError(f"{source} could not be run to its end: {error}") from None
+        raise BookError(f"{source} stopped {_last_begun(running)}: {error}") from None
     running.replace(EXECUTED / running.name)
     return {
         "seconds": time.monotonic() - begin,
         "cpu_seconds": _cpu_seconds() - worked,
         "megabytes": max(peak),
     }
+
+
+def _cell(index: int, code: str) -> str:
+    """Return the words for a cell; counted from 0 with the injected cell, its index is its number without that one."""
+    return f"cell {index} (`{next(iter(code.strip().splitlines()), '')}`)"
+
+
+def _last_begun(path: Path) -> str:
+    """Return where a notebook came to: a kernel that dies names no cell, and papermill calls all of them completed."""
+    with contextlib.suppress(OSError, ValueError):
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        begun = [index for index, cell in enumerate(cells) if cell["metadata"]["papermill"]["start_time"]]
+        if begun:
+            return f"in its {_cell(begun[-1], ''.join(cells[begun[-1]]['source']))}"
+    return "before its first cell"
 
 
 @contextlib.contextmanager

@@ -15,6 +15,8 @@ from pybtex.style.labels import BaseLabelStyle
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 
+from dropout_uncertainty import __version__
+
 __all__ = ["setup"]
 
 #: The first algorithm of the chapter is Algorithm 3 of the thesis.
@@ -55,7 +57,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Connect the parts to Sphinx."""
     register_plugin("pybtex.style.formatting", "names", Names)
     app.connect("config-inited", lambda _app, config: setattr(config, "mathjax_path", MATHJAX))
-    app.connect("source-read", list_modules)
+    app.connect("source-read", fill_in)
     app.connect("autodoc-process-docstring", keep_lines, priority=400)
     app.connect("autodoc-process-docstring", restore_lines, priority=600)
     app.connect("build-finished", copy_mathjax)
@@ -65,15 +67,15 @@ def setup(app: Sphinx) -> dict[str, Any]:
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
 
 
-def list_modules(app: Sphinx, page: str, source: list[str]) -> None:
-    """Replace ``[modules of PACKAGE]`` by the documentation of its modules, so that none is forgotten.
+def fill_in(app: Sphinx, page: str, source: list[str]) -> None:
+    """Replace ``[modules of PACKAGE]`` by the documentation of its modules, and ``[version]`` by the package's.
 
-    ``[modules below PACKAGE]`` takes those of the packages inside it, too.
+    ``[modules below PACKAGE]`` takes those of the packages inside it, too; so none is forgotten.
     """
     source[0] = re.sub(
         r"^\[modules (of|below) ([\w.]+)\]$",
         lambda m: module_sections(m[2], below=m[1] == "below"), source[0], flags=re.MULTILINE,
-    )  # fmt: skip
+    ).replace("[version]", __version__)  # fmt: skip
 
 
 def module_sections(package: str, *, below: bool = False) -> str:
