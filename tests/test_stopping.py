@@ -189,7 +189,6 @@ class _Vanishing(ProcessPoolExecutor):
 
 NOTEBOOK = """
 import toy
-from jupyter_client.manager import start_new_kernel
 from pathlib import Path
 from dropout_uncertainty.runs import execute, executors
 toy.CONFIGS["slow"] = toy.Walk(steps=300, seconds=0.2)

@@ -56,7 +56,7 @@ HEADLINES = {
     "AL3f": "no difference", "AL3g": "inconclusive", "AL7a": "confirmed", "AL7b": "confirmed", "AL8a": "confirmed",
     "EX3a": "supported", "EX3e": "refuted", "EX4": "refuted", "EX7e": "supported", "EX7f": "contradicted",
     "DE2d": "supported", "DE3h": "contradicted",
-    "DE6b": "supported", "DE6c": "no difference", "DE7b": "supported", "DE11a": "contradicted",
+    "DE6b": "supported", "DE6c": "no difference", "DE7a": "supported", "DE7b": "supported", "DE11a": "contradicted",
 }  # fmt: skip
 
 
@@ -144,7 +144,7 @@ ADVICE = {
     "EX2d": "supported", "EX5a": "supported", "EX5b": "supported", "EX6c": "contradicted", "EX7a": "inconclusive",
     "EX7b": "contradicted", "EX7f": "contradicted", "EX9": "contradicted", "DE1a": "supported", "DE2d": "supported",
     "DE2g": "supported", "DE3h": "contradicted", "DE4a": "untested", "DE4d": "no difference", "DE5b": "supported",
-    "DE5d": "supported", "DE6b": "supported", "DE6c": "no difference", "DE7a": "untested", "DE7b": "supported",
+    "DE5d": "supported", "DE6b": "supported", "DE6c": "no difference", "DE7a": "supported", "DE7b": "supported",
     "DE7c": "untested", "DE8a": "differs", "DE8d": "agrees", "DE9a": "untested", "DE9b": "untested",
     "DE13": "untested", "DE14a": "supported", "DE15": "untested",
 }  # fmt: skip

@@ -23,6 +23,7 @@ from dropout_uncertainty import folders
 from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.report import analysis as active_learning
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as what_matters
+from dropout_uncertainty.data_efficiency.ablations.report import worth
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.foraging import drawing
@@ -207,8 +208,8 @@ def _held(kind: str, folder: Path | None) -> str | None:
 
 def _no_dropout(what: str, digits: int, folder: Path | None) -> str | None:
     """Return what Deep PILCO without dropout needs more than with it."""
-    found = what_matters.compare("no-dropout", folder)
-    return None if found is None else _words(getattr(found, what), digits)
+    found = [pair for pair in worth.pairs(folder) if pair.name == "no-dropout"]
+    return _words(getattr(found[0], what), digits) if found else None
 
 
 def _doubt(folder: Path | None) -> str | None:
@@ -230,7 +231,7 @@ def _verdict(identifier: str, folder: Path | None) -> str | None:
 #: The statements whose verdicts the sentences of the first page give.
 SAID = (
     "AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "EX3a", "EX3e", "EX4", "EX7e", "EX7f", "DE2d", "DE3h", "DE6b", "DE6c",
-    "DE7b", "DE11a",
+    "DE7a", "DE7b", "DE11a",
 )  # fmt: skip
 #: The statements on which the lines of the page "What to use when" rest.
 USED = (
