@@ -94,11 +94,11 @@ def test_what_a_peak_changes_in_a_mean_is_its_height_by_the_number_of_points(mon
 
 def test_a_number_of_the_tables_that_rests_on_a_peak_is_named(monkeypatch):
     monkeypatch.setattr(peaks, "load_rows", lambda *_: {"random": row(high=60.0, level=9.0)})
-    text = peaks.in_tables().markdown
+    text = peaks.in_tables()
     assert "70 % (Random, ours)" in text
     assert "stay as they are" in text
     monkeypatch.setattr(peaks, "load_rows", lambda *_: {"random": row(high=-6.0)})  # a minimum, below 5 %
-    assert "change for Random, ours." in peaks.in_tables().markdown
+    assert "change for Random, ours." in peaks.in_tables()
 
 
 def test_differences_to_random_are_paired_by_seed():

@@ -229,7 +229,7 @@ def test_holding_the_draw_does_nothing_once_moments_are_matched(facts):
     assert 0.95 < low < 1 < high < 1.05
 
 
-def test_a_learner_without_doubt_pays_more_and_its_trials_settle_nothing(facts):
+def test_a_learner_without_dropout_pays_more_and_its_trials_settle_nothing(facts):
     low, high = interval(facts["no_dropout_trials"])
     assert low < 0 < high
     assert interval(facts["no_dropout_cost"])[0] > 0

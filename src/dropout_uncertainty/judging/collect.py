@@ -7,8 +7,8 @@ from dropout_uncertainty.active_learning.report import analysis as active_learni
 from dropout_uncertainty.active_learning.report import pools
 from dropout_uncertainty.active_learning.report.statements import STATEMENTS as ACTIVE_LEARNING
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as what_matters
-from dropout_uncertainty.data_efficiency.ablations.report import worth
 from dropout_uncertainty.data_efficiency.ablations.report.statements import STATEMENTS as WHAT_MATTERS
+from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.data_efficiency.report.statements import STATEMENTS as DATA_EFFICIENCY
 from dropout_uncertainty.exploration.report import analysis as exploration

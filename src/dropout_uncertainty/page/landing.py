@@ -23,7 +23,7 @@ from dropout_uncertainty import folders
 from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.report import analysis as active_learning
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as what_matters
-from dropout_uncertainty.data_efficiency.ablations.report import worth
+from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.foraging import drawing

@@ -1,12 +1,13 @@
-"""What the notebooks of section 5.2 ask for in one call: the runs of a profile."""
+"""What the notebooks of section 5.2 ask for in one call: the runs of a profile, what stored ones say in words."""
 
 from dropout_uncertainty.active_learning.experiment import CONFIGS, ROWS, units
-from dropout_uncertainty.active_learning.report import analysis
+from dropout_uncertainty.active_learning.report import analysis, peaks
 from dropout_uncertainty.active_learning.report import pools as report
 from dropout_uncertainty.active_learning.report.analysis import Row
 from dropout_uncertainty.page.profiles import computed
+from dropout_uncertainty.page.tables import Words
 
-__all__ = ["kinds", "original", "pools", "rows", "threshold"]
+__all__ = ["kinds", "original", "peaks_in_tables", "pools", "rows", "threshold"]
 
 
 def rows(profile: str) -> dict[str, Row]:
@@ -24,6 +25,11 @@ def rows(profile: str) -> dict[str, Row]:
 def original(profile: str) -> dict[str, Row] | None:
     """Return the curves of the original program; none in ``quick``, whose runs are too short to stand beside them."""
     return None if profile == "quick" else analysis.original_rows()
+
+
+def peaks_in_tables() -> Words:
+    """Return how high the peaks of the curves are, and what they change in the tables."""
+    return Words(peaks.in_tables())
 
 
 def threshold(profile: str) -> float:

@@ -11,7 +11,6 @@ from dropout_uncertainty.active_learning.experiment import OURS
 from dropout_uncertainty.active_learning.report import statements
 from dropout_uncertainty.active_learning.report.analysis import THRESHOLD, Row, load_rows, original_rows, paired_curves
 from dropout_uncertainty.judging.statements import Statement
-from dropout_uncertainty.page.tables import Words
 from dropout_uncertainty.stats import first_crossings, in_words, mean_estimate
 
 __all__ = ["EVEN", "TAIL", "at_peaks", "excess", "flattened", "in_tables", "last_minibatch", "runs", "table", "touched"]
@@ -101,13 +100,13 @@ def touched(folder: Path | None = None) -> tuple[list[str], list[list[object]]]:
     return ["acquired", "statements", "peaks, at labels", "largest change without them [points]", "margin"], cells
 
 
-def in_tables(folder: Path | None = None) -> Words:
+def in_tables(folder: Path | None = None) -> str:
     """Return how high the peaks are, and which numbers of Tables 5.1 and 5.2 would change without them."""
     rows = {f"{row.label}, original": row for row in original_rows().values()}
     rows |= {f"{row.label}, ours": row for row in load_rows("ours", folder).values()}
     highest, where = max((float(row.error[:, at_peaks(row.labels)].max()), name) for name, row in rows.items())
     changed = [name for name, row in rows.items() if _printed(row) != _printed(flattened(row))]
-    return Words(
+    return (
         f"The highest error of a repetition at a peak is {highest:.0f} % ({where}). If every peak is replaced by the "
         "mean of its neighbours, the minima of Table 5.1 and the crossings of Table 5.2 "
         + (f"change for {'; '.join(changed)}." if changed else "stay as they are, in every row, ours and the original.")

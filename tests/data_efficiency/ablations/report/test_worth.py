@@ -8,7 +8,8 @@ matplotlib.use("agg")
 import matplotlib.pyplot as plt
 
 from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
-from dropout_uncertainty.data_efficiency.ablations.report import worth, worth_chapter, worth_figures
+from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
+from dropout_uncertainty.data_efficiency.ablations.report.worth import chapter, figures
 from dropout_uncertainty.data_efficiency.configs import CONFIGS
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.judging.collect import STATEMENTS
@@ -105,7 +106,7 @@ def test_numbers_have_their_ids(folder):
 
 def test_without_records_there_is_nothing_and_the_page_says_so(tmp_path, monkeypatch):
     assert worth.results(tmp_path) == []
-    empty = worth_chapter.Runs(
+    empty = chapter.Runs(
         worth.pairs(tmp_path), worth.literal_pairs(tmp_path), worth.particle_pairs(tmp_path), worth.clouds(tmp_path),
         worth.estimates(tmp_path),
     )  # fmt: skip
@@ -116,33 +117,33 @@ def test_without_records_there_is_nothing_and_the_page_says_so(tmp_path, monkeyp
         ("forest", empty.pairs), ("covered", empty.pairs), ("first_trials", empty.pilco), ("left", empty.clouds),
         ("both_ways", empty.literal), ("particles", empty.particles), ("estimates", empty.estimates),
     ):  # fmt: skip
-        assert getattr(worth_figures, picture)(of) is None
-    assert worth_chapter.trusted(empty.pilco).markdown == "*Not run yet: `doubt/pilco-mean`.*"
-    assert worth_chapter.choices(empty).markdown == worth_chapter.clouds(empty).markdown == ""
+        assert getattr(figures, picture)(of) is None
+    assert chapter.trusted(empty.pilco).markdown == "*Not run yet: `doubt/pilco-mean`.*"
+    assert chapter.choices(empty).markdown == chapter.clouds(empty).markdown == ""
 
 
 def test_pictures_and_sentences_show_the_numbers(folder):
-    found = worth_chapter.Runs(
+    found = chapter.Runs(
         worth.pairs(folder), worth.literal_pairs(folder), worth.particle_pairs(folder), worth.clouds(folder),
         worth.estimates(folder),
     )  # fmt: skip
-    points = [line for line in worth_figures.forest(found.pairs).axes[0].lines if line.get_marker() == "o"]
+    points = [line for line in figures.forest(found.pairs).axes[0].lines if line.get_marker() == "o"]
     expected = [pair.cost_difference.value for pair in found.pairs]
     np.testing.assert_allclose([point.get_xdata()[0] for point in points], expected)
-    assert len(worth_figures.covered(found.pairs).axes) == 4
-    assert len(worth_figures.both_ways(found.literal).axes[0].get_yticks()) == 2
-    said, cost = worth_figures.first_trials(found.pilco).axes[0].lines[:2]
+    assert len(figures.covered(found.pairs).axes) == 4
+    assert len(figures.both_ways(found.literal).axes[0].get_yticks()) == 2
+    said, cost = figures.first_trials(found.pilco).axes[0].lines[:2]
     assert (cost.get_ydata() - said.get_ydata()).min() > 0.35
-    for figure in (worth_figures.particles(found.particles), worth_figures.left(found.clouds)):
+    for figure in (figures.particles(found.particles), figures.left(found.clouds)):
         assert len(figure.axes) == 1
-    assert len(worth_figures.estimates(found.estimates).axes[0].lines) == len(ESTIMATES)
-    text = worth_chapter.answers(found).markdown
+    assert len(figures.estimates(found.estimates).axes[0].lines) == len(ESTIMATES)
+    text = chapter.answers(found).markdown
     assert "**PILCO, planned on its mean** costs more" in text
     assert "**ensemble in the place of dropout** costs less" in text
-    assert "In both directions: matching." in worth_chapter.choices(found).markdown
-    assert "0.10 [0.10, 0.10] with plain noise" in worth_chapter.clouds(found).markdown
-    assert "has 0.50 [0.50, 0.50] times the norm" in worth_chapter.grown(found.estimates).markdown
-    assert "expected of its first 5 trials 0.20" in worth_chapter.trusted(found.pilco).markdown
+    assert "In both directions: matching." in chapter.choices(found).markdown
+    assert "0.10 [0.10, 0.10] with plain noise" in chapter.clouds(found).markdown
+    assert "has 0.50 [0.50, 0.50] times the norm" in chapter.grown(found.estimates).markdown
+    assert "expected of its first 5 trials 0.20" in chapter.trusted(found.pilco).markdown
     assert (
         found.missing("doubt").markdown
         == "*Not run yet: `doubt/no-dropout`, `doubt/ensemble-mean`, `doubt/as-text-mean`.*"

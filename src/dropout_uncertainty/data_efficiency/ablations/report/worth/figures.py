@@ -13,7 +13,7 @@ from scipy.special import digamma
 from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
 from dropout_uncertainty.data_efficiency.ablations.literal import CHANGES
 from dropout_uncertainty.data_efficiency.ablations.report.analysis import NOMINAL, Comparison
-from dropout_uncertainty.data_efficiency.ablations.report.worth import (
+from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import (
     PAIRS,
     PARTICLES,
     Cloud,

@@ -9,10 +9,16 @@ import numpy as np
 from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import doubt, gradients, literal, mchutchon, shrinking
 from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
-from dropout_uncertainty.data_efficiency.ablations.report import worth
 from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, factor, pair, words
 from dropout_uncertainty.data_efficiency.ablations.report.chapter import TINY
-from dropout_uncertainty.data_efficiency.ablations.report.worth import PAIRS, Cloud, Estimates, coverage, promise
+from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
+from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import (
+    PAIRS,
+    Cloud,
+    Estimates,
+    coverage,
+    promise,
+)
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS
 from dropout_uncertainty.data_efficiency.pilco.learner import LONGER
 from dropout_uncertainty.data_efficiency.report import analysis

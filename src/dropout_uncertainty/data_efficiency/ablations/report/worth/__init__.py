@@ -1,0 +1,1 @@
+"""What doubt is worth: the report of `ablations.doubt`, `literal`, `mchutchon`, `shrinking` and `gradients`."""
