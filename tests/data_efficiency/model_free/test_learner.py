@@ -11,6 +11,7 @@ from dropout_uncertainty.data_efficiency.model_free import learner
 from dropout_uncertainty.data_efficiency.model_free.config import DDPG_AS_PRINTED, NAF_AS_PRINTED, ModelFreeConfig
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
+from dropout_uncertainty.runs.unit import RunError
 
 SMALL = {"trials": 9, "test_every": 3, "hidden": (8, 6), "batch": 16}
 DDPG, NAF = replace(DDPG_AS_PRINTED, **SMALL), replace(NAF_AS_PRINTED, **SMALL, updates=2)
@@ -139,3 +140,8 @@ def test_where_all_have_ended_nothing_is_computed(monkeypatch):
 def test_wrong_settings_are_answered_in_a_sentence(values, words):
     with pytest.raises(ValueError, match=words):
         ModelFreeConfig(**values)
+
+
+def test_another_device_is_refused():
+    with pytest.raises(RunError, match="run on the CPU, got the device cuda"):
+        learner.start(DDPG, SEEDS, device="cuda")

@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 from dropout_uncertainty.data_efficiency.plant.extrapolation import step_each
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import precision_dtype
+from dropout_uncertainty.runs.unit import RunError, precision_dtype
 from dropout_uncertainty.settings import of_type
 
 __all__ = ["CONFIGS", "ModelFree", "start"]
@@ -33,9 +33,7 @@ class ModelFree:
     A repetition whose last tests were all solved (`ModelFreeConfig.solved_tests`) takes no part in later blocks.
     """
 
-    def __init__(
-        self, config: ModelFreeConfig, seeds: Sequence[int], device: str = "cpu", dtype: torch.dtype = torch.float32
-    ) -> None:
+    def __init__(self, config: ModelFreeConfig, seeds: Sequence[int], dtype: torch.dtype = torch.float32) -> None:
         self.config, self.seeds, self.dtype = of_type(ModelFreeConfig, config, "config"), rng.check_seeds(seeds), dtype
         plant = config.plant
         inputs = len(cartpole.FEATURE_NAMES) + config.time_input
@@ -162,8 +160,14 @@ class ModelFree:
 
 
 def start(config: ModelFreeConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> ModelFree:
-    """Return the process of one unit."""
-    return ModelFree(config, seeds, device, precision_dtype(precision))
+    """Return the process of one unit, which computes on the CPU.
+
+    Raises:
+        RunError: for another device, or an unknown precision.
+    """
+    if torch.device(device).type != "cpu":
+        raise RunError(f"learners without a model run on the CPU, got the device {device}")
+    return ModelFree(config, seeds, precision_dtype(precision))
 
 
 def memory(config: ModelFreeConfig) -> float:
