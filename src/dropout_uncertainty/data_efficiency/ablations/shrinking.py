@@ -24,7 +24,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco.planning import Dynamics
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.runs.sweep import Sweep
 
-__all__ = ["CONFIGS", "FAMILY", "NOISE", "ShrinkingConfig", "start"]
+__all__ = ["CONFIGS", "FAMILY", "NOISE", "Shrinking", "ShrinkingConfig", "start"]
 
 FAMILY = "shrinking"
 #: Ways to draw new particles, by whether their noise is standardised.
