@@ -3,8 +3,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from IPython.core.formatters import DisplayFormatter
 
-from dropout_uncertainty.page.tables import Table, provenance
+from dropout_uncertainty.page.tables import Table, Words, provenance
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.settings import config_dict, config_hash
 
@@ -57,6 +58,12 @@ def test_table_on_the_screen_is_html_with_its_markdown_rendered_and_its_html_esc
     assert "<strong>bold</strong>" in html
     assert "<script>" not in html
     assert "caption" in html
+
+
+def test_what_has_nothing_to_say_shows_nothing():
+    show = DisplayFormatter().format
+    assert show(Words("")) == ({}, {})
+    assert show(Words("A *word*."))[0]["text/markdown"] == "A *word*."
 
 
 def test_table_refuses_a_row_of_another_length():

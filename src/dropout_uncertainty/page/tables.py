@@ -22,6 +22,11 @@ class Rendered:
     def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, str]:
         return {"text/markdown": self.markdown, "text/html": self.html, "text/plain": self.markdown}
 
+    def _ipython_display_(self) -> None:
+        """Show nothing where there is nothing to say; otherwise what ``_repr_mimebundle_`` returns is shown."""
+        if self.markdown:
+            raise NotImplementedError
+
 
 class Table(Rendered):
     """A table of strings and numbers.
