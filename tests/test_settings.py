@@ -11,7 +11,7 @@ from dropout_uncertainty.data_efficiency.pilco import learner as pilco
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.exploration import experiment as exploration
 from dropout_uncertainty.exploration.foraging.world import Rules
-from dropout_uncertainty.settings import config_dict, config_diff, config_hash, of_type, tidy
+from dropout_uncertainty.settings import config_dict, config_diff, config_hash, of_type, tidy, widened
 
 CONFIGS = {
     "5.2": active_learning.Config(pool=50, subset=20, random_from=30),
@@ -115,3 +115,16 @@ def test_a_config_may_grow_without_losing_its_records():
     assert config_diff(Grown(late=5), Grown()) == [("late", 5, 7)]
     assert config_diff(STORED | {"inner": []}, Grown()) == [("late", 5, 7)], "a stored config and one of today"
     assert config_diff(STORED | {"inner": []}, Grown(late=5)) == []
+
+
+@dataclass(frozen=True)
+class MoreSettings(Settings):
+    more: int = 7
+
+
+def test_a_wider_config_has_the_values_of_the_other_but_for_what_is_changed():
+    config = replace(Settings(), rate=0.25, name="b")
+    wider = widened(MoreSettings, config, name="c")
+    assert wider == MoreSettings(rate=0.25, name="c", more=7)
+    with pytest.raises(TypeError, match="nonsense"):
+        widened(MoreSettings, config, nonsense=1)

@@ -10,11 +10,13 @@ import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-__all__ = ["config_dict", "config_diff", "config_hash", "idle", "of_type", "tidy"]
+__all__ = ["config_dict", "config_diff", "config_hash", "idle", "of_type", "tidy", "widened"]
+
+C = TypeVar("C")
 
 #: Equal to no value of a config.
 _NEVER = object()
@@ -77,6 +79,11 @@ def _finite(value: Any, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"{name} must be a finite number, got {value!r}")
     return float(value)
+
+
+def widened(kind: type[C], config: Any, **changes: Any) -> C:
+    """Return a config of a kind that extends that of another, with the values of the other where nothing is changed."""
+    return kind(**{f.name: getattr(config, f.name) for f in fields(config)} | changes)
 
 
 def config_dict(config: Any) -> dict[str, Any]:

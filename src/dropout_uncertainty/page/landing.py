@@ -208,7 +208,7 @@ def _held(kind: str, folder: Path | None) -> str | None:
 
 def _no_dropout(what: str, digits: int, folder: Path | None) -> str | None:
     """Return what Deep PILCO without dropout needs more than with it."""
-    found = [pair for pair in worth.pairs(folder) if pair.name == "no-dropout"]
+    found = [pair for pair in worth.pairs(worth.stored(folder)) if pair.name == "no-dropout"]
     return _words(getattr(found[0], what), digits) if found else None
 
 

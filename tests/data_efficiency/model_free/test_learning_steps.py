@@ -11,7 +11,7 @@ from dropout_uncertainty.data_efficiency.model_free.config import DDPG_AS_PRINTE
 from dropout_uncertainty.data_efficiency.model_free.ddpg import DDPG
 from dropout_uncertainty.data_efficiency.model_free.naf import NAF
 from dropout_uncertainty.data_efficiency.model_free.networks import Network, Trained
-from dropout_uncertainty.data_efficiency.model_free.replay import Memory
+from dropout_uncertainty.data_efficiency.model_free.replay import Memory, Transitions
 from dropout_uncertainty.rng import generator
 
 SEEDS, INPUTS, BATCH = (100, 101, 102), 5, 16
@@ -19,14 +19,14 @@ SMALL = {"hidden": (7, 6), "batch": BATCH, "follow": 0.25}
 
 
 def transitions():
-    """Inputs, actions, rewards, following inputs and discounts, [R, B, ...]; the last transition ends."""
+    """Return transitions of which the last ends."""
     g, shape = generator(100, "transitions"), (len(SEEDS), BATCH)
     inputs, following = (torch.randn(*shape, INPUTS, generator=g, dtype=torch.float64) for _ in range(2))
     action = 2 * torch.rand(*shape, 1, generator=g, dtype=torch.float64) - 1
     reward = torch.rand(*shape, 1, generator=g, dtype=torch.float64)
     discount = torch.full_like(reward, 0.99)
     discount[:, -1] = 0.0
-    return inputs, action, reward, following, discount
+    return Transitions(inputs, following, action, reward, discount)
 
 
 def module(network, replica):
@@ -90,14 +90,14 @@ def test_ddpg_learns_as_it_does_with_the_modules_of_pytorch(normalise):
     agent, batches = DDPG(config, SEEDS, INPUTS, torch.float64), transitions()
     modules = [(module(agent.policy.network, r), module(agent.value.network, r)) for r in range(len(SEEDS))]
     for _ in range(3):
-        agent.learn(*batches)
+        agent.learn(batches)
     for r, (policy, value) in enumerate(modules):
         targets = copy.deepcopy(policy).eval(), copy.deepcopy(value).eval()
         adams = (
             torch.optim.Adam(policy.parameters(), lr=config.policy_rate),
             torch.optim.Adam(value.parameters(), lr=config.value_rate, weight_decay=config.value_decay),
         )
-        inputs, action, reward, following, discount = (x[r] for x in batches)
+        inputs, following, action, reward, discount = (x[r] for x in batches)
         for _ in range(3):
             with torch.no_grad():
                 wanted = reward + discount * targets[1](following, targets[0](following).tanh())
@@ -122,11 +122,11 @@ def test_naf_learns_as_it_does_with_the_modules_of_pytorch():
     agent, batches = NAF(config, SEEDS, INPUTS, torch.float64), transitions()
     modules = [module(agent.value.network, r) for r in range(len(SEEDS))]
     for _ in range(3):
-        agent.learn(*batches)
+        agent.learn(batches)
     for r, own in enumerate(modules):
         target = copy.deepcopy(own)
         adam = torch.optim.Adam(own.parameters(), lr=config.value_rate)
-        inputs, action, reward, following, discount = (x[r] for x in batches)
+        inputs, following, action, reward, discount = (x[r] for x in batches)
         for _ in range(3):
             with torch.no_grad():
                 wanted = reward + discount * target(following)[:, :1]
@@ -168,7 +168,7 @@ def test_a_replica_alone_goes_the_way_it_goes_among_others():
             method(config, SEEDS[1:2], INPUTS, torch.float64),
         )
         for _ in range(3):
-            errors, error = together.learn(*batches), alone.learn(*(x[1:2] for x in batches))
+            errors, error = together.learn(batches), alone.learn(Transitions(*(x[1:2] for x in batches)))
         torch.testing.assert_close(errors[1:2], error)
         torch.testing.assert_close(together.act(batches[0][:, 0])[1:2], alone.act(batches[0][1:2, 0]))
 
@@ -195,13 +195,18 @@ def test_a_trained_network_goes_on_with_some_of_its_replicas_and_from_its_state(
 
 
 def test_a_memory_holds_the_last_transitions():
+    def one(number):
+        return Transitions(*(torch.tensor([[[number]], [[10 + number]]]) + part for part in (0, 0.1, 0.2, 0.3, 0.4)))
+
     memory = Memory(2, 3, 1)
     for number in range(5):
-        memory.store(torch.tensor([[float(number)], [10.0 + number]]))
+        memory.store(one(float(number)))
     assert len(memory) == 3
-    drawn = memory.sample(torch.tensor([[0.0, 0.34, 0.99], [0.0, 0.34, 0.99]], dtype=torch.float64))
-    assert sorted(drawn[0, :, 0].tolist()) == [2, 3, 4]
-    assert sorted(drawn[1, :, 0].tolist()) == [12, 13, 14]
+    drawn = memory.sample(torch.tensor([[0.0, 0.34, 0.99]] * 2, dtype=torch.float64))
+    assert sorted(drawn.inputs[0, :, 0].tolist()) == [2, 3, 4]
+    assert sorted(drawn.inputs[1, :, 0].tolist()) == [12, 13, 14]
+    for part, values in zip((0.1, 0.2, 0.3, 0.4), drawn[1:], strict=True):
+        torch.testing.assert_close(values, drawn.inputs + part)
     memory.keep(torch.tensor([1]))
     again = Memory(2, 3, 1)
     again.restore(memory.state())

@@ -6,7 +6,7 @@ particles: fixed ones with BFGS or fresh ones with Adam, under each way to match
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -26,6 +26,7 @@ from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.data_efficiency.pilco import learner as pilco
 from dropout_uncertainty.data_efficiency.pilco.learner import LONGER, PilcoConfig, PilcoLearning
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.settings import widened
 
 __all__ = [
     "CONFIGS", "FAMILY", "GaussianDynamics", "GaussianFunction", "ParticlePilco", "ParticlePilcoConfig", "moments_at",
@@ -55,10 +56,9 @@ _OPTIMISERS: dict[str, dict[str, Any]] = {
     "fixed-bfgs": {"redraw_every": 0, "optimiser": "bfgs", "policy_steps": PilcoConfig.policy_iterations},
     "fresh-adam": {},
 }
-_BASE = {f.name: getattr(LONGER["pilco-paper-15"], f.name) for f in fields(PilcoConfig)}
 CONFIGS: dict[str, ParticlePilcoConfig] = {
-    f"mchutchon/{name}-{matching}": ParticlePilcoConfig(
-        **_BASE, planning=Planning(hold_masks=False, matching=matching, **changes)
+    f"mchutchon/{name}-{matching}": widened(
+        ParticlePilcoConfig, LONGER["pilco-paper-15"], planning=Planning(hold_masks=False, matching=matching, **changes)
     )
     for name, changes in _OPTIMISERS.items()
     for matching in MATCHING

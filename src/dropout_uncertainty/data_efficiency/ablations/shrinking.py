@@ -7,7 +7,7 @@ particles, with plain and with standardised noise, beside that of so many partic
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco.learner import (
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import Dynamics
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.settings import widened
 
 __all__ = ["CONFIGS", "FAMILY", "NOISE", "Shrinking", "ShrinkingConfig", "start"]
 
@@ -84,12 +85,7 @@ class Shrinking(DeepPilcoLearning):
 #: [R, trial, T, 4], the latter two for each kind of noise.
 MEASURED = ("many_variance", "mean_variance", "median_variance")
 LEARNERS = {"as-text": AS_TEXT, "as-paper": AS_WRITTEN, "ours": OURS}
-CONFIGS = {
-    f"shrinking/{name}": ShrinkingConfig(
-        **{f.name: getattr(config, f.name) for f in fields(DeepPilcoConfig)} | {"trials": TRIALS}
-    )
-    for name, config in LEARNERS.items()
-}
+CONFIGS = {f"{FAMILY}/{name}": widened(ShrinkingConfig, config, trials=TRIALS) for name, config in LEARNERS.items()}
 
 
 def start(config: ShrinkingConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> Shrinking:

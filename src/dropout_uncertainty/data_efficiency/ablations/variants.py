@@ -6,7 +6,7 @@ looks into the learner `OURS` while it learns, `scaling` takes times on syntheti
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from dropout_uncertainty.data_efficiency.ablations.probes import KEPT, Mechanism, MechanismConfig
@@ -15,6 +15,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco import learner
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, DeepPilcoLearning
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.runs.sweep import Sweep
+from dropout_uncertainty.settings import widened
 
 __all__ = ["CONFIGS", "FAMILY", "TRIALS", "VARIANTS", "Variant", "VariantConfig", "start"]
 
@@ -32,7 +33,7 @@ class VariantConfig(DeepPilcoConfig):
 
 
 #: `OURS` for fewer trials: what a variant differs from in its named fields alone.
-BASE = VariantConfig(**{f.name: getattr(OURS, f.name) for f in fields(OURS)} | {"trials": TRIALS})
+BASE = widened(VariantConfig, OURS, trials=TRIALS)
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ VARIANTS: dict[str, Variant] = {
 }
 
 #: The measurements beside them.
-MECHANISM = MechanismConfig(**{f.name: getattr(OURS, f.name) for f in fields(OURS)} | {"trials": TRIALS})
+MECHANISM = widened(MechanismConfig, OURS, trials=TRIALS)
 SCALING = ScalingConfig()
 CONFIGS: dict[str, VariantConfig | MechanismConfig | ScalingConfig] = {
     **{f"{FAMILY}/{name}": variant.config for name, variant in VARIANTS.items()},

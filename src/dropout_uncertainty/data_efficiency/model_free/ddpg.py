@@ -8,6 +8,7 @@ from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.model_free.config import ModelFreeConfig
 from dropout_uncertainty.data_efficiency.model_free.networks import Network, Trained
+from dropout_uncertainty.data_efficiency.model_free.replay import Transitions
 
 __all__ = ["DDPG"]
 
@@ -30,23 +31,13 @@ class DDPG:
         """Return the actions of the policies, without noise."""
         return self.policy.network(inputs[:, None]).tanh()[:, 0, 0]
 
-    def learn(
-        self,
-        inputs: Float[Tensor, "R B inputs"],
-        action: Float[Tensor, "R B 1"],
-        reward: Float[Tensor, "R B 1"],
-        following: Float[Tensor, "R B inputs"],
-        discount: Float[Tensor, "R B 1"],
-    ) -> Float[Tensor, " R"]:
-        """Take a learning step on transitions and return the mean squared TD error before it.
-
-        The discount of a transition is 0 where nothing follows.
-        """
+    def learn(self, batch: Transitions) -> Float[Tensor, " R"]:
+        """Take a learning step on transitions and return the mean squared TD error before it."""
         with torch.no_grad():
-            best = self.policy.target(following).tanh()
-            target = reward + discount * self.value.target(following, best)
-        error = (self.value.network(inputs, action, training=True) - target).square().mean((1, 2))
+            best = self.policy.target(batch.following).tanh()
+            target = batch.reward + batch.discount * self.value.target(batch.following, best)
+        error = (self.value.network(batch.inputs, batch.action, training=True) - target).square().mean((1, 2))
         self.value.step(error.sum())
-        chosen = self.policy.network(inputs, training=True).tanh()
-        self.policy.step(-self.value.network(inputs, chosen).mean((1, 2)).sum())
+        chosen = self.policy.network(batch.inputs, training=True).tanh()
+        self.policy.step(-self.value.network(batch.inputs, chosen).mean((1, 2)).sum())
         return error.detach()

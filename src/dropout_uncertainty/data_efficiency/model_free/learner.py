@@ -13,7 +13,7 @@ from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.data_efficiency.model_free.config import DDPG_AS_PRINTED, NAF_AS_PRINTED, ModelFreeConfig
 from dropout_uncertainty.data_efficiency.model_free.ddpg import DDPG
 from dropout_uncertainty.data_efficiency.model_free.naf import NAF
-from dropout_uncertainty.data_efficiency.model_free.replay import Memory
+from dropout_uncertainty.data_efficiency.model_free.replay import Memory, Transitions
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 from dropout_uncertainty.data_efficiency.plant.extrapolation import step_each
@@ -38,7 +38,7 @@ class ModelFree:
         plant = config.plant
         inputs = len(cartpole.FEATURE_NAMES) + config.time_input
         self.agent = METHODS[config.method](config, self.seeds, inputs, dtype)
-        self.memory = Memory(len(self.seeds), min(config.memory, config.trials * plant.steps), 2 * inputs + 3, dtype)
+        self.memory = Memory(len(self.seeds), min(config.memory, config.trials * plant.steps), inputs, dtype)
         self.scale = torch.tensor(config.scale, dtype=dtype)
         self.total, self.done = config.trials // config.test_every, 0
         #: Numbers of the repetitions that still run.
@@ -97,7 +97,8 @@ class ModelFree:
             ends = config.end_is_terminal and t + 1 == plant.steps
             discount = torch.full_like(action, 0.0 if ends else config.discount)
             reward = (1 - costs[-1]).to(self.dtype)
-            self.memory.store(torch.cat((inputs, following, torch.stack((action, reward, discount), -1)), -1))
+            numbers = (x[:, None, None] for x in (action, reward, discount))
+            self.memory.store(Transitions(inputs[:, None], following[:, None], *numbers))
             errors += [self._learn(chosen[:, t, update]) for update in range(config.updates)]
             inputs = following
         name = "costs" if testing else "training_cost"
@@ -108,10 +109,7 @@ class ModelFree:
     def _learn(self, uniform: Float[Tensor, "R B"]) -> Float[Tensor, " R"]:
         if len(self.memory) < self.config.batch:
             return torch.full((len(uniform),), torch.nan, dtype=self.dtype)
-        rows = self.memory.sample(uniform)
-        size = (rows.shape[-1] - 3) // 2
-        inputs, following, action, reward, discount = rows.split((size, size, 1, 1, 1), -1)
-        return self.agent.learn(inputs, action, reward, following, discount)
+        return self.agent.learn(self.memory.sample(uniform))
 
     def _inputs(self, observed: Float[Tensor, "R 4"], t: int) -> Float[Tensor, "R inputs"]:
         """Return what the networks are given: scaled features, and perhaps the share of the trial that is over."""

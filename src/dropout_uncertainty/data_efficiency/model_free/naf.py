@@ -8,6 +8,7 @@ from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.model_free.config import ModelFreeConfig
 from dropout_uncertainty.data_efficiency.model_free.networks import Network, Trained
+from dropout_uncertainty.data_efficiency.model_free.replay import Transitions
 
 __all__ = ["NAF"]
 
@@ -32,22 +33,12 @@ class NAF:
         """Return the actions of highest Q."""
         return self.value.network(inputs[:, None])[:, 0, 1].tanh()
 
-    def learn(
-        self,
-        inputs: Float[Tensor, "R B inputs"],
-        action: Float[Tensor, "R B 1"],
-        reward: Float[Tensor, "R B 1"],
-        following: Float[Tensor, "R B inputs"],
-        discount: Float[Tensor, "R B 1"],
-    ) -> Float[Tensor, " R"]:
-        """Take a learning step on transitions and return the mean squared TD error before it.
-
-        The discount of a transition is 0 where nothing follows.
-        """
+    def learn(self, batch: Transitions) -> Float[Tensor, " R"]:
+        """Take a learning step on transitions and return the mean squared TD error before it."""
         with torch.no_grad():
-            target = reward + discount * self.value.target(following)[..., :1]
-        value, mean, log_root = self.value.network(inputs, training=True).split(1, -1)
-        q = value - (2 * log_root).exp() * (action - mean.tanh()).square() / 2
+            target = batch.reward + batch.discount * self.value.target(batch.following)[..., :1]
+        value, mean, log_root = self.value.network(batch.inputs, training=True).split(1, -1)
+        q = value - (2 * log_root).exp() * (batch.action - mean.tanh()).square() / 2
         error = (q - target).square().mean((1, 2))
         self.value.step(error.sum())
         return error.detach()

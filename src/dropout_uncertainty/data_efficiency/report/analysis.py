@@ -107,6 +107,17 @@ class Learning:
         return np.sqrt(self.arrays["predicted_variance"].astype(float))
 
     @property
+    def covered(self) -> Bool[np.ndarray, "R trials T 4"]:
+        """Whether the true states of times 1 ... T lay within two standard deviations of the predicted mean."""
+        true, mean = (self.arrays[name][:, :, 1:].astype(float) for name in ("states", "predicted_mean"))
+        return np.abs(true - mean) <= 2 * self.predicted_std[:, :, 1:]
+
+    @property
+    def broken_promise(self) -> Float[np.ndarray, " R"]:
+        """By how much a step of the controlled trials cost more than was predicted, mean over trials."""
+        return (self.trial_costs - self.predicted_costs)[:, 1:].mean(1)
+
+    @property
     def solved(self) -> Bool[np.ndarray, "R trials"]:
         """Which trials ended with the pole balanced (``cost.solved``)."""
         return cost.solved(self.plant, torch.from_numpy(self.costs)).numpy()

@@ -191,7 +191,7 @@ def promised(folder: Path | None) -> Measured | None:
     learning = load("doubt/no-dropout", folder) or load("what-matters/no-dropout", folder)
     if learning is None:
         return None
-    return on_average((learning.trial_costs - learning.predicted_costs)[:, 1:].mean(1), learning.records)
+    return on_average(learning.broken_promise, learning.records)
 
 
 def fades(config: str, folder: Path | None) -> Measured | None:

@@ -78,7 +78,7 @@ def test_every_pair_has_words_and_an_other():
 
 
 def test_pairs_share_seeds_and_a_shorter_run_stands_in(folder):
-    found = {pair.name: pair for pair in worth.pairs(folder)}
+    found = {pair.name: pair for pair in worth.pairs(worth.stored(folder))}
     assert set(found) == {"mean-network", "no-dropout", "pilco-mean", "ensemble"}  # the other ensemble is not run
     assert {name: (len(x.first.seeds), x.first.trials) for name, x in found.items()} == {
         "mean-network": (40, 25), "no-dropout": (10, 20), "pilco-mean": (40, 15), "ensemble": (40, 25),
@@ -104,12 +104,9 @@ def test_numbers_have_their_ids(folder):
     np.testing.assert_allclose(growth, np.array([2.0, 1.0, 0.0]) * 4 * np.log10(np.e), rtol=1e-5)
 
 
-def test_without_records_there_is_nothing_and_the_page_says_so(tmp_path, monkeypatch):
+def test_without_records_there_is_nothing_and_the_page_says_so(tmp_path):
     assert worth.results(tmp_path) == []
-    empty = chapter.Runs(
-        worth.pairs(tmp_path), worth.literal_pairs(tmp_path), worth.particle_pairs(tmp_path), worth.clouds(tmp_path),
-        worth.estimates(tmp_path),
-    )  # fmt: skip
+    empty = chapter.Runs.of(worth.stored(tmp_path), worth.clouds(tmp_path), worth.estimates(tmp_path))
     assert empty.missing("gradients").markdown == "*Not run yet: `gradients/pilco`.*"
     assert empty.missing("literal").markdown == "*Not run yet: 26 of the learners `literal/…`.*"
     assert empty.records == []
@@ -123,10 +120,7 @@ def test_without_records_there_is_nothing_and_the_page_says_so(tmp_path, monkeyp
 
 
 def test_pictures_and_sentences_show_the_numbers(folder):
-    found = chapter.Runs(
-        worth.pairs(folder), worth.literal_pairs(folder), worth.particle_pairs(folder), worth.clouds(folder),
-        worth.estimates(folder),
-    )  # fmt: skip
+    found = chapter.Runs.of(worth.stored(folder), worth.clouds(folder), worth.estimates(folder))
     points = [line for line in figures.forest(found.pairs).axes[0].lines if line.get_marker() == "o"]
     expected = [pair.cost_difference.value for pair in found.pairs]
     np.testing.assert_allclose([point.get_xdata()[0] for point in points], expected)

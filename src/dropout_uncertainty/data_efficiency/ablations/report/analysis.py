@@ -245,11 +245,7 @@ def inside(folder: Path | None = None) -> Inside | None:
 def coverage_of_pilco(learning: Learning, trials: Sequence[int]) -> Float[np.ndarray, " R"]:
     """Return the share of true states of some trials within two standard deviations of what PILCO predicted."""
     chosen = [trial for trial in trials if trial <= learning.trials]
-    true, mean, variance = (
-        learning.arrays[name][:, chosen, 1:].astype(float)
-        for name in ("states", "predicted_mean", "predicted_variance")
-    )
-    return (np.abs(true - mean) <= 2 * np.sqrt(np.maximum(variance, 0))).mean((1, 2, 3))
+    return learning.covered[:, chosen].mean((1, 2, 3))
 
 
 @dataclass(frozen=True)

@@ -191,11 +191,9 @@ def clouds(axes: Sequence[Axes], seen: Inside, pilco: Learning | None = None) ->
         band(hits, t, seen.covered(cloud).mean((1, 3)), colour=colour, label=words, linestyle=dash)
     if pilco is not None:
         trials = [trial for trial in seen.measured if trial <= pilco.trials]
-        variance = np.maximum(pilco.arrays["predicted_variance"][:, trials, 1:].astype(float), 1e-12)
-        off = np.abs(pilco.arrays["states"] - pilco.arrays["predicted_mean"])[:, trials, 1:]
-        colour = COLOURS["pilco"]
-        band(width, t, np.log10(variance[..., 3]).mean(1) / 2, colour=colour, label="PILCO", linestyle=":")
-        band(hits, t, (off <= 2 * np.sqrt(variance)).mean((1, 3)), colour=colour, label="PILCO", linestyle=":")
+        spread, style = np.log10(pilco.predicted_std[:, trials, 1:, 3]).mean(1), {"label": "PILCO", "linestyle": ":"}
+        band(width, t, spread, colour=COLOURS["pilco"], **style)
+        band(hits, t, pilco.covered[:, trials].mean((1, 3)), colour=COLOURS["pilco"], **style)
     hits.axhline(NOMINAL, color=DARK, linewidth=0.8, linestyle=":")
     width.set(xlabel="time [s]", ylabel="log10 of predicted std of the angle [rad]")
     hits.set(xlabel="time [s]", ylabel="true states within two std", ylim=(0, 1.02))

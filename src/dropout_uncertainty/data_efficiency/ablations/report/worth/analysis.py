@@ -3,8 +3,9 @@
 Nothing is run and nothing is drawn here. A difference is that named first less the other, paired by seed.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,12 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import paired_difference, t_interval
 
 __all__ = [
-    "LITERAL", "LONGEST", "PAIRS", "PARTICLES", "Cloud", "Estimates", "cloud", "clouds", "coverage", "estimates",
-    "literal_pairs", "pairs", "particle_pairs", "promise", "results",
+    "LITERAL", "LONGEST", "PAIRS", "PARTICLES", "Cloud", "Estimates", "Find", "cloud", "clouds", "coverage",
+    "estimates", "literal_pairs", "pairs", "particle_pairs", "results", "stored",
 ]  # fmt: skip
 
+#: Finds a learner by the name of its config, among records or live runs; None if it has not been run.
+Find = Callable[[str], Learning | None]
 #: Trials over which two learners are compared, at most: those within which the thesis's succeeds.
 LONGEST = doubt.TRIALS
 #: Learners in words, by their configs; what each is held against is in ``doubt.WITH_DOUBT``.
@@ -41,56 +44,56 @@ LITERAL = {"add": "deep-pilco-as-text", "drop": "deep-pilco-ours"}
 PARTICLES = {"fresh-adam": "fresh particles, Adam", "fixed-bfgs": "fixed particles, BFGS"}
 
 
-def promise(learning: Learning) -> Float[np.ndarray, " R"]:
-    """Return by how much the trials of each repetition cost more than was predicted, mean per step."""
-    return (learning.trial_costs - learning.predicted_costs)[:, 1:].mean(1)
-
-
 def coverage(learning: Learning) -> Float[np.ndarray, "R T"] | None:
     """Return the share of true states within two predicted standard deviations, by step; None without predictions."""
     if "states" not in learning.arrays or "predicted_mean" not in learning.arrays:
         return None
-    true, mean = (learning.arrays[name][:, 1:, 1:].astype(float) for name in ("states", "predicted_mean"))
-    return (np.abs(true - mean) <= 2 * learning.predicted_std[:, 1:, 1:]).mean((1, 3))
+    return learning.covered[:, 1:].mean((1, 3))
 
 
-def _paired(name: str, first: Learning | None, second: Learning | None) -> Comparison | None:
-    return pair(name, first, second, LONGEST) if first and second else None
+def stored(folder: Path | None = None) -> Find:
+    """Return what finds a learner in the records of a folder."""
+    return partial(load, folder=folder)
 
 
-def pairs(folder: Path | None = None) -> list[Comparison]:
-    """Return the learners of ``PAIRS`` that have records; a shorter run of ten stands in for one still to come."""
-    found = (
-        _paired(
-            name,
-            load(f"doubt/{name}", folder) or load(f"{variants.FAMILY}/{name}", folder),
-            load(doubt.WITH_DOUBT[name], folder),
-        )
+def _paired(name: str, first: Learning | None, second: Learning | None) -> Iterator[Comparison]:
+    """Yield a pair, if both are there and share a seed."""
+    if first and second and (found := pair(name, first, second, LONGEST)):
+        yield found
+
+
+def pairs(find: Find) -> list[Comparison]:
+    """Return the learners of ``PAIRS`` that are found; a shorter run of ten stands in for one still to come."""
+    return [
+        found
         for name in PAIRS
-    )
-    return [pair for pair in found if pair]
+        for found in _paired(
+            name, find(f"{doubt.FAMILY}/{name}") or find(f"{variants.FAMILY}/{name}"), find(doubt.WITH_DOUBT[name])
+        )
+    ]
 
 
-def literal_pairs(folder: Path | None = None) -> dict[str, list[Comparison]]:
-    """Return the choices of ``literal`` that have records, beside the learner they are added to or taken from."""
-    found = {
+def literal_pairs(find: Find) -> dict[str, list[Comparison]]:
+    """Return the choices of ``literal`` that are found, beside the learner they are added to or taken from."""
+    return {
         way: [
-            _paired(change, load(f"literal/{way}/{change}", folder), load(base, folder)) for change in literal.CHANGES
+            found
+            for change in literal.CHANGES
+            for found in _paired(change, find(f"literal/{way}/{change}"), find(base))
         ]
         for way, base in LITERAL.items()
     }
-    return {way: [pair for pair in those if pair] for way, those in found.items()}
 
 
-def particle_pairs(folder: Path | None = None) -> list[Comparison]:
-    """Return fixed particles with BFGS beside fresh ones with Adam, for each way to match that has records of both."""
-    found = (
-        _paired(
-            matching, load(f"mchutchon/fixed-bfgs-{matching}", folder), load(f"mchutchon/fresh-adam-{matching}", folder)
-        )
+def particle_pairs(find: Find) -> list[Comparison]:
+    """Return fixed particles with BFGS beside fresh ones with Adam, for each way to match of which both are found."""
+    return [
+        found
         for matching in ("full", "diagonal", "off")
-    )
-    return [pair for pair in found if pair]
+        for found in _paired(
+            matching, find(f"mchutchon/fixed-bfgs-{matching}"), find(f"mchutchon/fresh-adam-{matching}")
+        )
+    ]
 
 
 @dataclass(frozen=True)
@@ -172,18 +175,19 @@ def estimates(folder: Path | None = None) -> Estimates | None:
 
 def results(folder: Path | None = None) -> list[Result]:
     """Return the numbers of this page, with ids as in ``python -m dropout_uncertainty results``."""
+    find = stored(folder)
     return [
-        *_of_pairs(folder), *_of_literal(folder), *_of_particles(folder), *_of_clouds(folder), *_of_estimates(folder),
+        *_of_pairs(find), *_of_literal(find), *_of_particles(find), *_of_clouds(folder), *_of_estimates(folder),
     ]  # fmt: skip
 
 
-def _of_pairs(folder: Path | None) -> list[Result]:
+def _of_pairs(find: Find) -> list[Result]:
     found = []
-    for comparison in pairs(folder):
+    for comparison in pairs(find):
         first, second = comparison.first, comparison.second
         if first.config != f"{doubt.FAMILY}/{comparison.name}":
             continue  # the shorter run goes by its own name
-        broken = promise(first), promise(second)
+        broken = first.broken_promise, second.broken_promise
         rows = [
             ("kept", first.kept, "share", "solved repetitions that keep their solution"),
             ("promise", t_interval(broken[0]), "cost per step", "realised less predicted, mean over trials"),
@@ -196,19 +200,19 @@ def _of_pairs(folder: Path | None) -> list[Result]:
     return found
 
 
-def _of_literal(folder: Path | None) -> list[Result]:
+def _of_literal(find: Find) -> list[Result]:
     return [
         result
-        for way, those in literal_pairs(folder).items()
+        for way, those in literal_pairs(find).items()
         for comparison in those
         for result in compared(comparison, f"literal/{way}/{comparison.name}", LITERAL[way])
     ]
 
 
-def _of_particles(folder: Path | None) -> list[Result]:
+def _of_particles(find: Find) -> list[Result]:
     found = []
     for name in mchutchon.CONFIGS:
-        if learning := load(name, folder):
+        if learning := find(name):
             rows = (
                 (f"solved-by-{learning.trials}", learning.solved_by(learning.trials), "share", "repetitions solved"),
                 ("cost", t_interval(learning.trial_costs[:, 1:].mean(1)), "cost per step", "mean over trials"),
@@ -217,7 +221,7 @@ def _of_particles(folder: Path | None) -> list[Result]:
                 measured(f"{name}/{kind}", value, learning.records, unit=unit, statistic=words, config=name)
                 for kind, value, unit, words in rows
             ]
-    for comparison in particle_pairs(folder):
+    for comparison in particle_pairs(find):
         name = comparison.first.config
         found += [r for r in compared(comparison, name, comparison.second.config) if r.id.endswith("/difference")]
     return found

@@ -9,7 +9,8 @@ import numpy as np
 from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import doubt, gradients, literal, mchutchon, shrinking
 from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
-from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, factor, pair, words
+from dropout_uncertainty.data_efficiency.ablations.mchutchon import ParticlePilcoConfig
+from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, factor, words
 from dropout_uncertainty.data_efficiency.ablations.report.chapter import TINY
 from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
 from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import (
@@ -17,10 +18,8 @@ from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import 
     Cloud,
     Estimates,
     coverage,
-    promise,
 )
-from dropout_uncertainty.data_efficiency.deep_pilco.learner import AS_TEXT, OURS
-from dropout_uncertainty.data_efficiency.pilco.learner import LONGER
+from dropout_uncertainty.data_efficiency.pilco.learner import PilcoConfig
 from dropout_uncertainty.data_efficiency.report import analysis
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.page.profiles import complete
@@ -48,6 +47,11 @@ class Runs:
     particles: Sequence[Comparison]
     clouds: Sequence[Cloud]
     estimates: Estimates | None
+
+    @classmethod
+    def of(cls, find: worth.Find, clouds: Sequence[Cloud], estimates: Estimates | None) -> "Runs":
+        """Return what can be compared of the learners that are found."""
+        return cls(worth.pairs(find), worth.literal_pairs(find), worth.particle_pairs(find), clouds, estimates)
 
     @property
     def pilco(self) -> Comparison | None:
@@ -82,10 +86,25 @@ def runs(profile: str) -> Runs:
     families = (doubt, literal, mchutchon, shrinking, gradients)
     complete(profile, [unit for family in families for name in family.CONFIGS for unit in configs.units(name)])
     if profile == "quick":
-        return Runs(_live_pairs(), _live_literal(), _live_particles(), _live_clouds(), _live_estimates())
-    return Runs(
-        worth.pairs(), worth.literal_pairs(), worth.particle_pairs(), worth.clouds(), worth.estimates()
-    )  # fmt: skip
+        return Runs.of(_live().get, _live_clouds(), _live_estimates())
+    return Runs.of(worth.stored(), worth.clouds(), worth.estimates())
+
+
+def _live() -> dict[str, Learning]:
+    """Return short runs of the learners, by the names of their configs; of the slow ones a few."""
+    names = ["deep-pilco-ours", "deep-pilco-as-text", "pilco-paper-15"]
+    names += [name for name in doubt.CONFIGS if name != "doubt/as-text-mean"]
+    names += [f"literal/{way}/{change}" for way in worth.LITERAL for change in LIVE]
+    names += [name for name in mchutchon.CONFIGS if name.endswith("-off")]
+    return {name: _learned(name, _tiny(configs.CONFIGS[name])) for name in names}
+
+
+def _tiny(config: Any) -> Any:
+    if not isinstance(config, PilcoConfig):
+        return replace(config, **TINY)
+    if isinstance(config, ParticlePilcoConfig):
+        config = replace(config, planning=replace(config.planning, **TINY_PLAN))
+    return replace(config, **TINY_PILCO)
 
 
 def _finished(name: str, config: Any) -> Any:
@@ -97,47 +116,6 @@ def _finished(name: str, config: Any) -> Any:
 
 def _learned(name: str, config: Any) -> Learning:
     return analysis.from_arrays(name, config.plant, _finished(name, config).result(), SEEDS)
-
-
-def _beside(name: str, first: Learning, second: Learning) -> list[Comparison]:
-    found = pair(name, first, second, worth.LONGEST)
-    return [found] if found else []
-
-
-def _live_pairs() -> list[Comparison]:
-    learned = {"deep-pilco-ours": _learned("deep-pilco-ours", replace(OURS, **TINY))}
-    learned["pilco-paper-15"] = _learned("pilco-paper-15", replace(LONGER["pilco-paper-15"], **TINY_PILCO))
-    for name, config in doubt.CONFIGS.items():
-        if name != "doubt/as-text-mean":
-            learned[name] = _learned(name, replace(config, **(TINY_PILCO if "pilco" in name else TINY)))
-    return [
-        found
-        for name in PAIRS
-        if f"doubt/{name}" in learned
-        for found in _beside(name, learned[f"doubt/{name}"], learned[doubt.WITH_DOUBT[name]])
-    ]
-
-
-def _live_literal() -> dict[str, list[Comparison]]:
-    found = {}
-    for way, base in (("add", AS_TEXT), ("drop", OURS)):
-        other = _learned(worth.LITERAL[way], replace(base, **TINY))
-        names = {change: f"literal/{way}/{change}" for change in LIVE}
-        found[way] = [
-            one
-            for change, name in names.items()
-            for one in _beside(change, _learned(name, replace(literal.CONFIGS[name], **TINY)), other)
-        ]
-    return found
-
-
-def _live_particles() -> list[Comparison]:
-    first, second = (
-        _learned(name, replace(config, **{**TINY_PILCO, "planning": replace(config.planning, **TINY_PLAN)}))
-        for name, config in mchutchon.CONFIGS.items()
-        if name.endswith("-off")
-    )
-    return _beside("off", first, second)
 
 
 def _live_clouds() -> list[Cloud]:
@@ -161,7 +139,8 @@ def pairs_table(found: Runs) -> tuple[list[str], list[list[object]]]:
     return heads, [
         [
             PAIRS[x.name], len(x.first.seeds), words(x.cost_difference), words(x.trials_difference, 1),
-            words(t_interval(promise(x.first))), words(t_interval(promise(x.second))), share(x.first), share(x.second),
+            words(t_interval(x.first.broken_promise)), words(t_interval(x.second.broken_promise)),
+            share(x.first), share(x.second),
         ]
         for x in found.pairs
     ]  # fmt: skip

@@ -19,7 +19,6 @@ from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import 
     Cloud,
     Estimates,
     coverage,
-    promise,
 )
 from dropout_uncertainty.data_efficiency.report.statements import MARGIN_COST
 from dropout_uncertainty.page.plotting import COLOURS, WIDTH, band, legend_above
@@ -56,7 +55,7 @@ def forest(pairs: Sequence[Comparison]) -> Figure | None:
         for shift, learning, colour, words in (
             (-0.14, found.second, DOUBT, "what it is held against"), (0.14, found.first, SURE, "the learner named"),
         ):  # fmt: skip
-            _whisker(broken, row + shift, t_interval(promise(learning)), colour, None if row else words)
+            _whisker(broken, row + shift, t_interval(learning.broken_promise), colour, None if row else words)
     for ax in (dearer, broken):
         ax.axvline(0, color=DARK, linewidth=0.9)
         _rows(ax, [_wrapped(f"{PAIRS[found.name]} ({len(found.first.seeds)})") for found in pairs])
