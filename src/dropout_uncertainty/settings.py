@@ -10,13 +10,11 @@ import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 __all__ = ["config_dict", "config_diff", "config_hash", "idle", "of_type", "tidy", "widened"]
-
-C = TypeVar("C")
 
 #: Equal to no value of a config.
 _NEVER = object()
@@ -81,7 +79,7 @@ def _finite(value: Any, name: str) -> float:
     return float(value)
 
 
-def widened(kind: type[C], config: Any, **changes: Any) -> C:
+def widened(kind: type, config: Any, **changes: Any) -> Any:
     """Return a config of a kind that extends that of another, with the values of the other where nothing is changed."""
     return kind(**{f.name: getattr(config, f.name) for f in fields(config)} | changes)
 

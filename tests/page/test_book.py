@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 from functools import cache
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -152,6 +153,15 @@ def test_modules_of_a_package_are_listed_for_the_api_pages():
     text = sphinx_ext.module_sections("dropout_uncertainty")
     assert "## bayes\n\n```{eval-rst}\n.. automodule:: dropout_uncertainty.bayes\n   :members:\n```" in text
     assert "__main__" not in text
+
+
+def test_what_the_api_pages_link_to_is_there(small_book):
+    folder = small_book()
+    shutil.copytree(ROOT / "book" / "api", folder / "book" / "api")
+    pages = sorted(page.stem for page in (folder / "book" / "api").iterdir())
+    (folder / "book" / "_toc.yml").write_text("\n".join(["format: jb-book", "root: api/core", "chapters:",
+        *(f"- file: api/{page}" for page in pages if page != "core")]))  # fmt: skip
+    assert book.build(run=False).exists()
 
 
 def test_references_are_labelled_as_the_text_cites():
