@@ -93,6 +93,16 @@ def test_the_answer_follows_the_seas():
     assert late.endswith("it does no better.")
 
 
+def test_what_priors_add_is_said_where_both_ensembles_have_run():
+    dives = {("ensemble", 10): sea("ensemble", 30)}
+    assert answers.without_priors(dives) == ""
+    dives["ensemble-priors", 10] = sea("ensemble-priors", 10)
+    assert answers.without_priors(dives) == (
+        "Seas that the ensemble solves, and the median episode: without priors 30 of 40, 500 [500, 500]; "
+        "with them 10 of 40."
+    )
+
+
 def test_what_was_found_stands_beside_a_coin():
     assert answers.found({}, 10) == "Not run yet."
     said = answers.found({("greedy", 10): sea("greedy", 0), ("boltzmann", 10): sea("boltzmann", 5, found=10)}, 10)

@@ -19,7 +19,7 @@ from dropout_uncertainty.stats import Estimate
 
 __all__ = [
     "COMPARED", "READINGS", "Compared", "answer", "beside_a_coin", "exploration", "found", "judged", "sentence",
-    "sentences",
+    "sentences", "without_priors",
 ]  # fmt: skip
 
 
@@ -153,6 +153,7 @@ def exploration(all_judged: Mapping[str, Judged], dives: Seas) -> str:
     parts = [answer(all_judged, "EX9"), beside_a_coin(dives), *(words for _, words in against)]
     if all(difference is not None and difference.low > 0 for difference, _ in against):
         parts.append("So draws that are held can explore, if they come from another belief than that of dropout.")
+    parts.append(without_priors(dives))
     return " ".join(filter(None, parts))
 
 
@@ -168,6 +169,14 @@ def beside_a_coin(dives: Seas, size: int = sea.SIZE) -> str:
         f"Held for an episode, draws of dropout find the treasure within {HORIZON:,} episodes in {100 * value:.0f} % "
         f"of {n} seas (95 % interval {ends}), {side} the {100 * coin:.0f} % in which a coin at every move would."
     )
+
+
+def without_priors(dives: Seas, size: int = sea.SIZE) -> str:
+    """Return how many seas an ensemble solves without priors and with them, and when; empty without runs of both."""
+    if not {("ensemble", size), ("ensemble-priors", size)} <= dives.keys():
+        return ""
+    without, those = (sea.solved(dives[agent, size]) for agent in ("ensemble", "ensemble-priors"))
+    return f"Seas that the ensemble solves, and the median episode: without priors {without}; with them {those}."
 
 
 def _ensemble(dives: Seas, other: str, size: int = sea.SIZE) -> tuple[Estimate | None, str]:

@@ -20,16 +20,19 @@ from dropout_uncertainty.exploration.report.deep_sea.growth import FORMS, growth
 from dropout_uncertainty.judging.results import Result, measured
 from dropout_uncertainty.stats import Estimate, Interval, difference_of_shares
 
-__all__ = ["CONTRASTS", "coin", "difference", "growth_table", "not_run", "results", "score", "table"]
+__all__ = ["CONTRASTS", "coin", "difference", "growth_table", "not_run", "results", "score", "solved", "table"]
 
 #: bsuite forgives this many episodes beyond 2^N.
 FORGIVEN = 100
-#: Agents whose shares of solved seas of size 10 are compared: statements EX9 and EX9b, and what a better belief does.
+#: Agents whose shares of solved seas of size 10 are compared: statements EX9 and EX9b, and what another belief does.
 CONTRASTS = (
     ("dropout-per-episode", "epsilon-greedy"),
     ("dropout-per-episode", "dropout-per-move"),
     ("ensemble-priors", "epsilon-greedy"),
     ("ensemble-priors", "dropout-per-episode"),
+    ("ensemble", "epsilon-greedy"),
+    ("ensemble", "dropout-per-episode"),
+    ("ensemble-priors", "ensemble"),
 )
 SIZE = 10
 
@@ -122,13 +125,14 @@ def table(dives: Seas, sizes: Sequence[int]) -> tuple[list[str], list[list[objec
     """Return heads and cells: seas of each size that each agent solved, the median episode, and bsuite's score."""
     cells: list[list[object]] = []
     for agent, label in LABELS.items():
-        row = [_solved(dives.get((agent, size))) for size in sizes]
+        row = [solved(dives.get((agent, size))) for size in sizes]
         ran = any((agent, size) in dives for size in sizes)
         cells.append([label, *row, _words(score(dives, agent)) if ran else None])
     return ["", *(f"N = {size}" for size in sizes), "bsuite's score"], cells
 
 
-def _solved(d: Dives | None) -> str:
+def solved(d: Dives | None) -> str:
+    """Return how many seas an agent solved and, where half are, the median episode with its interval, in words."""
     if d is None:
         return "not run yet"
     value, low, high, n = d.median()
