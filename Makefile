@@ -22,9 +22,9 @@ check: $(READY)
 browser: $(READY) ## open the built book, and a notebook in JupyterLab, in Chromium and check what is to be seen
 	$(BIN)/python -m pytest -m "" tests/page/test_book.py tests/page/test_browser.py tests/page/test_lab.py
 
-quick: $(READY) ## compute everything live at reduced size, build the HTML from that, and let PILCO learn the swing-up
+quick: $(READY) ## compute everything live at reduced size, build the HTML from that, let PILCO learn the swing-up, and try the run for a GPU
 	$(RUN) book --profile quick
-	$(BIN)/python -m pytest -m slow tests/data_efficiency/pilco
+	$(BIN)/python -m pytest -m slow tests/data_efficiency/pilco tests/test_gpu.py
 
 lab: $(READY) ## open the notebooks in JupyterLab
 	$(BIN)/jupyter lab notebooks

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import date
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -137,6 +138,22 @@ def run(
     with context as executor:
         for record in execute.run(units, executor=executor):
             typer.echo(record.path)
+
+
+@app.command()
+def gpu(
+    out: Annotated[Path, typer.Option(help="folder of the records and of report.json; the same one continues")],
+    minutes: Annotated[float, typer.Option(help="of the clock", min=0)] = 12.0,
+    workers: Annotated[int, typer.Option(help="units of section 5.2 that share the GPU", min=1)] = 8,
+    tiny: Annotated[bool, typer.Option(help="cut everything down to seconds; runs without a GPU, too")] = False,
+) -> None:
+    """Do what only a GPU makes affordable, the most missed first, and stop when the time is up."""
+    from dropout_uncertainty import gpu
+    from dropout_uncertainty.runs.unit import check_device
+
+    report = gpu.run(out, 60 * minutes, device=check_device("auto" if tiny else "cuda"), tiny=tiny, workers=workers)
+    failed = [name for name, part in report["parts"].items() if part["state"] == "failed"]
+    raise typer.Exit(code=1 if failed else 0)
 
 
 @record_commands.command("list")

@@ -23,7 +23,7 @@ from dropout_uncertainty.runs.records import Record, RecordError
 from dropout_uncertainty.runs.unit import RunError, Unit, check_memory, differing
 from dropout_uncertainty.settings import config_dict
 
-__all__ = ["run", "run_unit"]
+__all__ = ["OutOfTime", "run", "run_unit"]
 
 #: Seconds between checkpoints; a kill loses at most this much work and the step under way.
 CHECKPOINT_SECONDS = 20.0
@@ -31,10 +31,21 @@ CHECKPOINT_SECONDS = 20.0
 CODE = ("commit", "dirty", "python", "torch", "numpy", "scipy")
 
 
-def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False) -> Record:
+class OutOfTime(RunError):
+    """There was no time for another step; what was done is kept, and the same call goes on."""
+
+
+def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False, until: float | None = None) -> Record:
     """Return the unit's record, computing what is missing of it.
 
+    Args:
+        unit: what is computed.
+        folder: of the records.
+        progress: whether a bar is shown.
+        until: time of the clock, in seconds as ``time.time`` has it, after which no step begins.
+
     Raises:
+        OutOfTime: if it is later than ``until`` before the unit is done.
         RunError: if another process is at work on this unit, or its record is there but of another config.
         RecordError: if the record cannot be read or written.
     """
@@ -49,7 +60,7 @@ def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False) -> 
             if path.exists():
                 return _existing(path, unit)
             check_memory(unit)
-            return _compute(unit, folder, partial, progress)
+            return _compute(unit, folder, partial, progress, until)
     except Timeout:
         raise RunError(f"another process is computing {unit.label}: wait for it, or stop it") from None
     except OSError as error:
@@ -59,20 +70,25 @@ def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False) -> 
 
 
 def run(
-    units: Iterable[Unit], *, executor: Executor | None = None, folder: Path | None = None, progress: bool = True
+    units: Iterable[Unit],
+    *,
+    executor: Executor | None = None,
+    folder: Path | None = None,
+    progress: bool = True,
+    until: float | None = None,
 ) -> list[Record]:
     """Return the records of all units, in their order; units that have one are not computed again.
 
     Any ``concurrent.futures`` executor will do; without one the units run here, one after the other. Records made on
-    machines that do not share this one's disk are written here.
+    machines that do not share this one's disk are written here. No step begins after ``until`` (see ``run_unit``).
     """
     units = list(units)
     if executor is None:
-        return [run_unit(unit, folder, progress) for unit in units]
+        return [run_unit(unit, folder, progress, until) for unit in units]
     here = folder or records.root()
     missing = [unit for unit in units if not _path(unit, here).exists()]
     with tqdm(total=len(units), initial=len(units) - len(missing), unit="unit", disable=not progress) as bar:
-        for unit, record in _completed(executor, missing, folder):
+        for unit, record in _completed(executor, missing, folder, until):
             path = _path(unit, here)
             if not path.exists():  # computed on a machine that does not share our disk
                 records.write(path, record.arrays, record.header)
@@ -81,12 +97,14 @@ def run(
     return [run_unit(unit, folder) for unit in units]
 
 
-def _completed(executor: Executor, units: Sequence[Unit], folder: Path | None) -> Iterator[tuple[Unit, Record]]:
+def _completed(
+    executor: Executor, units: Sequence[Unit], folder: Path | None, until: float | None
+) -> Iterator[tuple[Unit, Record]]:
     """Give units with their records as they are finished; if one fails, or this is left, the others are cancelled."""
     futures: dict[Future, Unit] = {}
     try:
         for unit in units:
-            futures[executor.submit(run_unit, unit, folder)] = unit
+            futures[executor.submit(run_unit, unit, folder, until=until)] = unit
         for future in as_completed(futures):
             yield futures[future], future.result()
     except BrokenExecutor:
@@ -114,7 +132,7 @@ def _digest(unit: Unit) -> str:
     return hashlib.sha256(repr(sorted(unit.identity.items())).encode()).hexdigest()[:12]
 
 
-def _compute(unit: Unit, folder: Path, partial: Path, progress: bool) -> Record:
+def _compute(unit: Unit, folder: Path, partial: Path, progress: bool, until: float | None) -> Record:
     torch.backends.cudnn.deterministic = True  # the same bits each time, also on a GPU
     process = unit.start(unit.config, unit.seeds, device=unit.device, precision=unit.precision)
     clock: dict[str, Any] = {"wall_s": 0.0, "cpu_s": 0.0, "interruptions": 0, "rounding": rounding(process)}
@@ -140,12 +158,15 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool) -> Record:
             bar.set_postfix_str(status, refresh=False)
             bar.update()
             begin = time.monotonic()
+            late = until is not None and time.time() > until
             # A large state is saved less often, so that saving takes a thirtieth of the time at most.
-            if begin - last > max(CHECKPOINT_SECONDS, 30 * saving) and process.done < process.total:
+            if (late or begin - last > max(CHECKPOINT_SECONDS, 30 * saving)) and process.done < process.total:
                 content = {"state": process.state(), "clock": clock, "commits": commits, "parents": parents}
                 checkpoints.save(partial, content)
                 last = time.monotonic()
                 saving = last - begin
+                if late:
+                    raise OutOfTime(f"no time was left in {unit.label} after {process.done} of {process.total} steps")
     timings: dict[str, Any] = getattr(process, "timings", dict)()
     # ``commit`` is that of the last sitting, ``commits`` what each sitting ran under
     origin = {**where, **clock, **timings, "commits": commits, "dirty": _any_dirty(commits)}
