@@ -143,7 +143,7 @@ ADVICE = {
     "AL7b": "confirmed", "AL9c": "supported", "AL11": "untested", "AL11i": "untested", "AL11l": "untested",
     "EX2d": "supported", "EX5a": "supported", "EX5b": "supported", "EX6c": "contradicted", "EX7a": "inconclusive",
     "EX7b": "contradicted", "EX7f": "contradicted", "EX9": "contradicted", "DE1a": "supported", "DE2d": "supported",
-    "DE2g": "supported", "DE3h": "contradicted", "DE4a": "untested", "DE4d": "no difference", "DE5b": "supported",
+    "DE2g": "supported", "DE3h": "contradicted", "DE4a": "inconclusive", "DE4d": "no difference", "DE5b": "supported",
     "DE5d": "supported", "DE6b": "supported", "DE6c": "no difference", "DE7a": "supported", "DE7b": "supported",
     "DE7c": "untested", "DE8a": "differs", "DE8d": "agrees", "DE9a": "untested", "DE9b": "untested",
     "DE13": "untested", "DE14a": "supported", "DE15": "untested",
