@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from dropout_uncertainty import cli, gpu
 from dropout_uncertainty.active_learning import mnist
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import execute, records
 from dropout_uncertainty.runs.unit import RunError
 
@@ -40,6 +41,12 @@ def test_every_part_is_done_once(tmp_path, few_tested, capsys):
     assert states(again) == states(first)
     assert {name: (tmp_path / name).stat().st_mtime_ns for name in made} == written
     assert "kernels: done after" in capsys.readouterr().out
+
+
+def test_a_file_is_no_folder_for_records(tmp_path):
+    (tmp_path / "lent").touch()
+    with pytest.raises(UserError, match="cannot make the folder .*lent"):
+        gpu.run(tmp_path / "lent", 0.0, device="cpu", tiny=True)
 
 
 def test_without_time_nothing_begins(tmp_path):

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from dropout_uncertainty import folders
 from dropout_uncertainty.active_learning import experiment as images
 from dropout_uncertainty.data_efficiency import configs as plants
 from dropout_uncertainty.errors import UserError
@@ -52,10 +53,14 @@ def run(out: Path, seconds: float, *, device: str = "cuda", tiny: bool = False, 
         device: "cuda", or "cpu" to try it.
         tiny: whether everything is cut down to seconds, for a test.
         workers: units of section 5.2 that share the device.
+
+    Raises:
+        UserError: if the folder cannot be made.
     """
     begin = time.time()
     until = begin + seconds
-    out.mkdir(parents=True, exist_ok=True)
+    out = out.absolute()
+    folders.create(out)
     report = {**records.provenance(device), "tiny": tiny, "parts": {}}
     for name, part in _parts(out, device, tiny, workers, until).items():
         start = time.time()
