@@ -45,7 +45,7 @@ def test_every_part_is_done_once(tmp_path, few_tested, capsys):
 
 def test_a_file_is_no_folder_for_records(tmp_path):
     (tmp_path / "lent").touch()
-    with pytest.raises(UserError, match="cannot make the folder .*lent"):
+    with pytest.raises(UserError, match="cannot make the folder"):
         gpu.run(tmp_path / "lent", 0.0, device="cpu", tiny=True)
 
 
