@@ -1,24 +1,15 @@
 """The prepared run on a GPU, tried on a CPU at the least size."""
 
 import json
-from dataclasses import replace
 
 import pytest
 import toy
 from typer.testing import CliRunner
 
 from dropout_uncertainty import cli, gpu
-from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import execute, records
 from dropout_uncertainty.runs.unit import RunError
-
-
-@pytest.fixture
-def few_tested(digits, monkeypatch):
-    """Let networks be tested on 500 images."""
-    digits = replace(mnist.load(), test_images=digits.test_images, test_labels=digits.test_labels)
-    monkeypatch.setattr(mnist, "load", lambda: digits)
 
 
 def states(report):
@@ -26,7 +17,7 @@ def states(report):
 
 
 @pytest.mark.slow
-def test_every_part_is_done_once(tmp_path, few_tested, capsys):
+def test_every_part_is_done_once(tmp_path, capsys):
     first = gpu.run(tmp_path, 600.0, device="cpu", tiny=True, workers=1)
     assert states(first) == dict.fromkeys(("bits", "pools", "tables", "deep-pilco", "pilco", "kernels"), "done")
     assert list(first["parts"]["bits"]["equal"].values()) == [True] * len(gpu.KERNELS)
@@ -53,7 +44,7 @@ def test_without_time_nothing_begins(tmp_path):
     assert set(states(gpu.run(tmp_path, 0.0, device="cpu", tiny=True)).values()) == {"not begun"}
 
 
-def test_a_part_that_fails_does_not_keep_the_next_from_its_turn(tmp_path, few_tested, monkeypatch):
+def test_a_part_that_fails_does_not_keep_the_next_from_its_turn(tmp_path, monkeypatch):
     def broken(*_, **__):
         raise RuntimeError("out of memory")
 

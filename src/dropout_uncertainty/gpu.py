@@ -32,7 +32,7 @@ KERNELS = {"ours/dropout/bald": images, "as-demo": worlds, "deep-pilco-ours": pl
 STACKED = (1, 10, 40, 200)
 #: The least work that goes through every part of a kernel, to try the run where there is no GPU.
 TINY = {
-    "epochs": 1, "rounds": 1, "draws": 2, "subset": 20, "mc_test_every": 0,
+    "epochs": 1, "rounds": 1, "draws": 2, "subset": 20, "mc_test_every": 0, "tested": 100,
     "learning_start": 99, "burn_in": 100, "ticks": 1_000, "hidden": (16, 16), "basis": 5, "particles": 5,
     "trials": 1, "policy_steps": 2, "policy_iterations": 2, "model_steps": 2, "model_iterations": 2,
 }  # fmt: skip
@@ -85,7 +85,7 @@ def _attempt(part: Callable[[], dict[str, Any]], until: float) -> dict[str, Any]
 
 def _parts(out: Path, device: str, tiny: bool, workers: int, until: float) -> dict[str, Callable[[], dict[str, Any]]]:
     pools, tables = ([name for name in images.CONFIGS if name.startswith(family)] for family in ("pools/", "ours/"))
-    forty = range(DEVELOPMENT, DEVELOPMENT + 40)
+    forty = range(DEVELOPMENT, DEVELOPMENT + (1 if tiny else 40))
 
     def units(found: Iterable[Unit]) -> list[Unit]:
         return [_cut(unit) for unit in itertools.islice(found, 2)] if tiny else list(found)

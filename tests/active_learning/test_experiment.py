@@ -127,6 +127,11 @@ def test_a_tiny_network_learns_twenty_images(digits):
     predicted = learner.log_probs(labelled, 0)[0, 0].argmax(-1)
     assert (predicted == digits.train_labels[:20]).float().mean() >= 0.95
     assert learner.test_error()[0] < 75
+    learner.config = replace(learner.config, tested=100)
+    wrong = learner.test_error()[0]
+    cut = replace(digits, test_images=digits.test_images[:100], test_labels=digits.test_labels[:100])
+    learner.config, learner.data = replace(learner.config, tested=None), [cut]
+    assert learner.test_error()[0] == wrong
 
 
 def test_an_emptying_pool_is_taken_whole_and_then_refused(digits):

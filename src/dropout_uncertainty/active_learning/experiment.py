@@ -91,6 +91,8 @@ class Config:
     """Share of blended images in the pool of that kind (not in the thesis)."""
     members: int = field(default=5, metadata={"before": 5})
     """Networks of the ensemble where that scores the pool (not in the thesis)."""
+    tested: int | None = field(default=None, metadata={"before": None})
+    """Images of the test set, from its beginning, that the error is taken of; None: all (thesis 5.2)."""
 
     def __post_init__(self) -> None:
         """Raise ValueError where a setting cannot be run."""
@@ -102,7 +104,7 @@ class Config:
             raise ValueError(f"unknown pool_kind {self.pool_kind!r}, choose one of {', '.join(KINDS)}")
         if not 0 <= self.ambiguous <= 1:
             raise ValueError(f"ambiguous is a share between 0 and 1, got {self.ambiguous}")
-        for name in ("epochs", "batch", "draws", "per_class", "acquired", "members", "pool", "random_from"):
+        for name in ("epochs", "batch", "draws", "per_class", "acquired", "members", "pool", "random_from", "tested"):
             if getattr(self, name) is not None and getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.initialisation not in INITIALISATIONS:
@@ -147,8 +149,8 @@ AS_WRITTEN = replace(OURS, pool=None, subset=None, rounds=100)
 AS_RECORDED = replace(OURS, four_convolutions_at_start=True, masks_per_image=True)
 AS_RECORDED_3X3 = replace(AS_RECORDED, kernel=3, decay=3.5)
 
-#: Small enough to compute every row while a reader waits: 20 to 180 labels, fewer candidates and draws.
-QUICK = replace(OURS, rounds=8, acquired=20, draws=20, subset=1_000)
+#: Small enough to compute every row while a reader waits: 20 to 180 labels, fewer candidates, draws and test images.
+QUICK = replace(OURS, rounds=8, acquired=20, draws=20, subset=1_000, tested=2_000)
 
 
 def _family(name: str, base: Config) -> dict[str, Config]:
@@ -160,7 +162,7 @@ def _family(name: str, base: Config) -> dict[str, Config]:
 
 #: When do weight draws save labels? 20 to 320 labels, from pools of four kinds.
 POOLS = replace(OURS, rounds=30, even_minibatches=True)
-POOLS_QUICK = replace(POOLS, rounds=2, acquired=40, draws=20, subset=500)
+POOLS_QUICK = replace(POOLS, rounds=2, acquired=40, draws=20, subset=500, tested=2_000)
 #: The rows that are run on each kind of pool, beside Random.
 POOL_ROWS: dict[str, tuple[str, ...]] = {
     "ambiguous": (
@@ -326,9 +328,11 @@ class CNNLearner:
     def test_error(self, draws: int = 0) -> Float[np.ndarray, " R"]:
         """Return the test error in %, with weight scaling (``draws=0``) or averaged over weight draws."""
         wrong = torch.zeros(len(self.seeds))
-        data = self.data[0]  # the test set is the same for all
-        labels = data.test_labels.to(self.device)
-        for images, truth in zip(data.test_images.split(EVALUATION_BATCH), labels.split(EVALUATION_BATCH), strict=True):
+        data, tested = self.data[0], self.config.tested  # the test set is the same for all
+        labels = data.test_labels[:tested].to(self.device)
+        for images, truth in zip(
+            data.test_images[:tested].split(EVALUATION_BATCH), labels.split(EVALUATION_BATCH), strict=True
+        ):
             batch = images.to(self.device).expand(len(self.seeds), -1, -1, -1)
             mean = self._predict([batch], draws).double().logsumexp(1)
             wrong += (mean.argmax(-1) != truth).sum(1).cpu()
