@@ -36,7 +36,7 @@ from dropout_uncertainty.judging.results import Result, thesis_value
 from dropout_uncertainty.judging.statements import KINDS, Judged, Statement, StatementResult, judge
 from dropout_uncertainty.page.plotting import COLOURS
 from dropout_uncertainty.runs.records import Record, root
-from dropout_uncertainty.stats import Interval, t_interval
+from dropout_uncertainty.stats import Interval, in_words, t_interval
 
 __all__ = ["FACTS", "PICTURES", "SAID", "USED", "facts", "numbers", "readme", "tally", "used", "write"]
 
@@ -75,9 +75,8 @@ def _ours(result: Result) -> str:
     """Return our value with its interval and unit; an end that was never reached is open, a single run has none."""
     if result.ours is None:
         return "–"
-    low, high = ("…" if end is None else f"{end:.2g}" for end in (result.low, result.high))
-    limits = "" if low == high == "…" else f" [{low}, {high}]"
-    return f"{result.ours:.2g}{limits} {result.unit}".replace("-", "−")
+    low, high = (math.inf if end is None else end for end in (result.low, result.high))
+    return f"{in_words(Interval(result.ours, low, high, len(result.seeds)), '.2g', unbounded='…')} {result.unit}"
 
 
 def tally(found: Iterable[Result] | None = None) -> str:
@@ -143,14 +142,14 @@ def _entropy(acquired: tuple[int, int], folder: Path | None) -> str | None:
     """Return the test error, in points, of acquiring by the entropy over weight draws minus by that of one pass."""
     rows = active_learning.load_rows("ours", folder)
     draws, single = rows.get("dropout/max-entropy"), rows.get("softmax/max-entropy")
-    return None if draws is None or single is None else _words(active_learning.paired_error(draws, single, *acquired))
+    return None if draws is None or single is None else in_words(active_learning.paired_error(draws, single, *acquired))
 
 
 def _entropy_steps(config: str, folder: Path | None) -> str | None:
     """Return how many acquisitions a row chosen by an entropy needs to 5 % test error; ``config`` is "family/row"."""
     family, name = config.split("/", 1)
     row = active_learning.load_rows(family, folder).get(name)
-    return None if row is None else _words(row.crossing(), 0)
+    return None if row is None else in_words(row.crossing(), ".0f")
 
 
 def _printed_cells(statistic: str) -> str:
@@ -167,7 +166,7 @@ def _greedy(ticks: tuple[int, int], folder: Path | None) -> str | None:
     agents = exploration.load("ours", folder)
     if not {"greedy", "thompson"} <= agents.keys():
         return None
-    return _words(exploration.compare(agents["greedy"], agents["thompson"], *ticks))
+    return in_words(exploration.compare(agents["greedy"], agents["thompson"], *ticks))
 
 
 def _thompson(config: str, folder: Path | None, ticks: tuple[int, int], what: str | None = None) -> str | None:
@@ -203,23 +202,19 @@ def _held(kind: str, folder: Path | None) -> str | None:
     seen = what_matters.inside(folder)
     if seen is None:
         return None
-    return _words(what_matters.factor(seen.log_std_ratio(f"held-{kind}", f"redrawn-{kind}")))
+    return in_words(what_matters.factor(seen.log_std_ratio(f"held-{kind}", f"redrawn-{kind}")))
 
 
-def _no_dropout(what: str, digits: int, folder: Path | None) -> str | None:
+def _no_dropout(what: str, spec: str, folder: Path | None) -> str | None:
     """Return what Deep PILCO without dropout needs more than with it."""
     found = [pair for pair in worth.pairs(worth.stored(folder)) if pair.name == "no-dropout"]
-    return _words(getattr(found[0], what), digits) if found else None
+    return in_words(getattr(found[0], what), spec) if found else None
 
 
 def _doubt(folder: Path | None) -> str | None:
     """Return how a step's part in PILCO's gradient goes with the doubt about it, as statement DE11a measures it."""
     learning = data_efficiency.load("pilco-paper", folder)
-    return None if learning is None else _words(t_interval(data_efficiency.excess_on_predictable(learning)[0]))
-
-
-def _words(interval: Interval, digits: int = 2) -> str:
-    return what_matters.words(interval, digits).replace("-", "−")
+    return None if learning is None else in_words(t_interval(data_efficiency.excess_on_predictable(learning)[0]))
 
 
 def _verdict(identifier: str, folder: Path | None) -> str | None:
@@ -264,8 +259,8 @@ FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "later_ours": lambda folder: _solved_later("deep-pilco-ours", folder),
     "held_free": lambda folder: _held("free", folder),
     "held_matched": lambda folder: _held("matched", folder),
-    "no_dropout_trials": lambda folder: _no_dropout("trials_difference", 1, folder),
-    "no_dropout_cost": lambda folder: _no_dropout("cost_difference", 2, folder),
+    "no_dropout_trials": lambda folder: _no_dropout("trials_difference", ".1f", folder),
+    "no_dropout_cost": lambda folder: _no_dropout("cost_difference", ".2f", folder),
     "doubt": _doubt,
     **{name: functools.partial(_verdict, name) for name in SAID},
 }

@@ -133,7 +133,7 @@ def compare(names: Sequence[str], *, seed: int = 100, ticks: int = 600, folder: 
     """
     runs = {}
     for name in names:
-        published = [r for r in records.find(EXPERIMENT, name=name, folder=folder) if max(r.seeds) < 100]
+        published = records.find(EXPERIMENT, name=name, folder=folder, published=True)
         if not published:
             command = f"dropout-uncertainty run {EXPERIMENT} --config {name} --seeds 0-9"
             raise RecordError(f"there is no record of {EXPERIMENT}/{name}: `{command}` makes it")

@@ -22,7 +22,6 @@ from dropout_uncertainty.exploration.report.analysis import (
     batches,
     held_out_gap,
     load,
-    median,
     paired,
     ratio,
 )
@@ -42,6 +41,7 @@ from dropout_uncertainty.judging.statements import (
 from dropout_uncertainty.stats import (
     bootstrap_estimate,
     mean_estimate,
+    median_interval,
     share_estimate,
     smaller_median,
     t_interval,
@@ -112,7 +112,7 @@ def arrival(config: str, folder: Path | None) -> Measured | None:
     late = bootstrap_estimate(
         lambda i: smaller_median(least[i]) - claimed, len(when), most=lambda i: smaller_median(when[i]) - claimed
     )
-    beside = {"batches of 200 ticks": median(batches(found[0].crossings(), 200))}
+    beside = {"batches of 200 ticks": median_interval(batches(found[0].crossings(), 200))}
     return Measured(late, shifted(late.interval, claimed), found[0].records, beside)
 
 

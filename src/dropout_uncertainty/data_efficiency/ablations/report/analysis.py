@@ -19,16 +19,15 @@ from dropout_uncertainty.data_efficiency.deep_pilco.particles import MATCHING
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT
 from dropout_uncertainty.data_efficiency.plant.cartpole import STATE_NAMES, CartPole
 from dropout_uncertainty.data_efficiency.report import analysis
-from dropout_uncertainty.data_efficiency.report.analysis import Learning, share_interval
-from dropout_uncertainty.judging.results import Result, measured
+from dropout_uncertainty.data_efficiency.report.analysis import Learning
+from dropout_uncertainty.judging.results import Result, listed, measured
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, in_words, paired_difference, t_interval
+from dropout_uncertainty.stats import Interval, paired_difference, share_interval, t_interval
 
 __all__ = [
     "BASELINE", "NOMINAL", "Comparison", "Inside", "Times", "baseline", "check_quick", "compare", "compared",
     "comparisons", "coverage_of_pilco", "factor", "inside", "numbers", "pair", "results", "share_difference", "times",
-    "words",
 ]  # fmt: skip
 
 #: The published record of `OURS`; its first trials are those of the variants' baseline.
@@ -284,7 +283,7 @@ class Times:
 
 def times(folder: Path | None = None) -> Times | None:
     """Return the published times; None if there are none yet."""
-    found = [r for r in records.find(EXPERIMENT, name=f"{FAMILY}/scaling", folder=folder) if max(r.seeds) < 100]
+    found = records.find(EXPERIMENT, name=f"{FAMILY}/scaling", folder=folder, published=True)
     if not found:
         return None
     plain = found[0].header["config"]
@@ -295,11 +294,6 @@ def times(folder: Path | None = None) -> Times | None:
         for name in ("fit_s", "policy_s")
     )
     return Times(config, fit, policy, tuple(found))
-
-
-def words(interval: Interval, digits: int = 2) -> str:
-    """Return an interval for a sentence, e.g. "0.35 [0.21, 0.49]"; without limits if there are none."""
-    return in_words(interval, f".{digits}f")
 
 
 def factor(logs: Float[np.ndarray, " R"]) -> Interval:
@@ -349,13 +343,7 @@ def compared(comparison: Comparison, name: str, other: str) -> list[Result]:
 def numbers(comparison: Comparison, name: str, rows: Iterable[tuple[str, Interval, str, str]]) -> list[Result]:
     """Return numbers (kind, interval, unit, words) of the seeds that a comparison shares."""
     made = [record for x in (comparison.first, comparison.second) for record in x.records]
-    return [
-        replace(
-            measured(f"{name}/{kind}", interval, made, unit=unit, statistic=words, config=name),
-            seeds=sorted(comparison.first.seeds),
-        )
-        for kind, interval, unit, words in rows
-    ]
+    return [replace(result, seeds=sorted(comparison.first.seeds)) for result in listed(name, rows, made, name)]
 
 
 def _of_mechanism(folder: Path | None) -> list[Result]:
@@ -388,10 +376,9 @@ def _of_mechanism(folder: Path | None) -> list[Result]:
         ]
     rows.append(("penalty-correlation", seen.penalty_correlation, "", "rank correlation of parting and penalty"))
     name = f"{FAMILY}/mechanism"
-    return [
-        measured(f"{name}/{kind}", t_interval(values), seen.records, unit=unit, statistic=words, config=name)
-        for kind, values, unit, words in rows
-    ]
+    return listed(
+        name, ((kind, t_interval(values), unit, words) for kind, values, unit, words in rows), seen.records, name
+    )
 
 
 def _of_scaling(folder: Path | None) -> list[Result]:

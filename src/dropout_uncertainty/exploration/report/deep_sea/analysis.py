@@ -14,11 +14,10 @@ from dropout_uncertainty.exploration.report.deep_sea.dives import (
     Dives,
     Seas,
     load,
-    share_interval,
 )
 from dropout_uncertainty.exploration.report.deep_sea.growth import FORMS, growth
 from dropout_uncertainty.judging.results import Result, measured
-from dropout_uncertainty.stats import Estimate, Interval, difference_of_shares
+from dropout_uncertainty.stats import Estimate, Interval, difference_of_shares, in_words, share_interval
 
 __all__ = ["CONTRASTS", "coin", "difference", "growth_table", "not_run", "results", "score", "table"]
 
@@ -131,10 +130,9 @@ def table(dives: Seas, sizes: Sequence[int]) -> tuple[list[str], list[list[objec
 def _solved(d: Dives | None) -> str:
     if d is None:
         return "not run yet"
-    value, low, high, n = d.median()
-    ends = [f"{end:.0f}" if np.isfinite(end) else "–" for end in (value, low, high)]
-    median = f", {ends[0]} [{ends[1]}, {ends[2]}]" if np.isfinite(value) else ""
-    return f"{np.isfinite(d.solved).sum()} of {n}{median}"
+    found = d.median()
+    median = f", {in_words(found, '.0f', unbounded='–')}" if np.isfinite(found.value) else ""
+    return f"{np.isfinite(d.solved).sum()} of {found.n}{median}"
 
 
 def growth_table(dives: Seas) -> tuple[list[str], list[list[object]]]:
@@ -151,5 +149,5 @@ def growth_table(dives: Seas) -> tuple[list[str], list[list[object]]]:
 def _words(found: Interval) -> str:
     if np.isnan(found.value):
         return "too few seas solved"
-    value, low, high = (f"{x:.2f}" if np.isfinite(x) else "not bounded" for x in found[:3])
-    return f"{value} [{low}, {high}]" if not np.isnan(found.low) else f"{value}, too few seas solved for an interval"
+    words = in_words(found, unbounded="not bounded")
+    return f"{words}, too few seas solved for an interval" if np.isnan(found.low) else words
