@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.exploration.foraging.world import World
 from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import Unit, precision_dtype
+from dropout_uncertainty.runs.unit import precision_dtype
 from dropout_uncertainty.settings import of_type
 
 __all__ = [
@@ -234,9 +235,8 @@ class Foraging:
         return np.stack(kept, axis=1).astype(np.float32)
 
 
-def start(config: Config, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> Foraging:
-    """Return the process of one unit."""
-    return Foraging(config, seeds, device=device, precision=precision)
+#: Makes the process of one unit.
+start = Foraging
 
 
 def memory(config: Config) -> float:
@@ -251,8 +251,5 @@ SWEEP = Sweep(
 )
 
 
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units([SWEEP], name, seeds, device, precision)
+#: The units of a named config.
+units = partial(sweep.units, [SWEEP])

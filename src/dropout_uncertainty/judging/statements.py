@@ -15,8 +15,8 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Estimate, Interval, mean_estimate
 
 __all__ = [
-    "KINDS", "NEAR", "Judged", "Kind", "Measured", "Statement", "StatementResult", "audited", "from_range", "judge",
-    "nothing", "on_average", "shifted",
+    "KINDS", "NEAR", "Judged", "Kind", "Measure", "Measured", "Statement", "StatementResult", "audit", "audited",
+    "from_range", "judge", "nothing", "on_average", "shifted",
 ]  # fmt: skip
 
 Kind = Literal["value", "less", "more", "equality", "audit"]
@@ -51,6 +51,10 @@ class Measured:
     ours: Interval
     records: Sequence[Record] = ()
     beside: Mapping[str, Interval] = field(default_factory=dict)
+
+
+#: Computes what the records of a folder (None: the published ones) say; None while there are none.
+Measure = Callable[[Path | None], Measured | None]
 
 
 def nothing(folder: Path | None) -> None:
@@ -96,12 +100,12 @@ class Statement:
         kind: "value" (the thesis prints a number), "less" or "more" (A is below or above B), "equality", or "audit" (a
             fact about text, data or programs, no claim of the thesis).
         margin: the largest difference, in ``unit``, that does not matter; 0 for an audit.
-        chapter: the notebook that shows it.
-        measure: computes what the records of a folder (None: the published ones) say; None while there are none.
+        measure: see ``Measure``.
         unit: of margin, difference and values.
         thesis: the printed value.
         primary: whether it is one of the few that the chapter stands on, adjusted together.
         would_test: why it is untested, and what would test it, where ``measure`` gives None.
+        chapter: the notebook that shows it.
     """
 
     id: str
@@ -109,12 +113,12 @@ class Statement:
     where: str
     kind: Kind
     margin: float
-    chapter: str
-    measure: Callable[[Path | None], Measured | None] = field(repr=False)
+    measure: Measure = field(repr=False)
     unit: str = ""
     thesis: float | None = None
     primary: bool = False
     would_test: str = ""
+    chapter: str = field(kw_only=True)
 
     @property
     def least(self) -> int:
@@ -134,6 +138,11 @@ class Statement:
         if self.kind == "equality":
             return rules.equality(difference, self.margin)
         return rules.comparison(difference, self.kind, self.margin)
+
+
+def audit(identifier: str, text: str, where: str, measure: Measure, *, chapter: str) -> Statement:
+    """Return a statement about a fact, that is no claim of the thesis."""
+    return Statement(identifier, text, where, "audit", 0.0, measure, chapter=chapter)
 
 
 @dataclass(frozen=True)

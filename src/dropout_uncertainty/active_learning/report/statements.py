@@ -22,7 +22,7 @@ from dropout_uncertainty.active_learning.report.analysis import (
     share_tied,
 )
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, on_average, shifted
+from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audit, audited, on_average, shifted
 from dropout_uncertainty.stats import Interval, Statistic, bootstrap_estimate, first_crossings
 
 __all__ = ["STATEMENTS", "ranges"]
@@ -39,7 +39,9 @@ CELLS = [
 ]  # fmt: skip
 SCORES = {"bald": "BALD", "variation-ratios": "Variation Ratios", "max-entropy": "Max Entropy"}
 
-Ours = Callable[[Row], float]
+
+stated = partial(Statement, chapter=TABLES)
+fact = partial(audit, chapter=TABLES)
 
 
 # ------------------------------------------------------------------ printed values
@@ -93,8 +95,8 @@ def of_table(identifier: str, table: str, name: str) -> Statement:
         if table == "table-5.1"
         else f"{LABELS[name]}: {value:g} acquisitions to a test error of 5 %"
     )
-    return Statement(
-        identifier, f"{what}.", f"Table {table[-3:]}", "value", NEAR * value, TABLES, partial(cell, name, table),
+    return stated(
+        identifier, f"{what}.", f"Table {table[-3:]}", "value", NEAR * value, partial(cell, name, table),
         unit="%" if table == "table-5.1" else "acquisitions", thesis=value,
     )  # fmt: skip
 
@@ -133,10 +135,8 @@ def compared(
 ) -> Statement:  # fmt: skip
     """Return a statement about two rows of the tables."""
     margin = MARGIN_END if acquired == END else MARGIN
-    return Statement(
-        identifier, text, where, kind, margin, TABLES, partial(curves, first, second, acquired),
-        unit="points", primary=primary,
-    )  # fmt: skip
+    measure = partial(curves, first, second, acquired)
+    return stated(identifier, text, where, kind, margin, measure, unit="points", primary=primary)
 
 
 def in_pool(
@@ -144,9 +144,9 @@ def in_pool(
 ) -> Statement:
     """Return a statement about two rows on one of the pools of "When do weight draws help?"."""
     measure = partial(curves, first, second, pools.RANGE, family=f"pools/{pool}")
-    return Statement(
-        identifier, text, where, kind, MARGIN_POOLS, POOLS, measure, unit="points", primary=primary,
-        would_test=f"20 runs of both rows on the {pool} pool",
+    return stated(
+        identifier, text, where, kind, MARGIN_POOLS, measure, unit="points", primary=primary,
+        would_test=f"20 runs of both rows on the {pool} pool", chapter=POOLS,
     )  # fmt: skip
 
 
@@ -210,11 +210,6 @@ def mixed(field: str, _: Path | None) -> Measured:
     return audited(len({getattr(CONFIGS[f"as-recorded/{name}"], field) for name in CELLS}) > 1)
 
 
-def audit(identifier: str, text: str, where: str, measure: Callable[[Path | None], Measured | None]) -> Statement:
-    """Return a statement about a fact, that is no claim of the thesis."""
-    return Statement(identifier, text, where, "audit", 0.0, TABLES, measure)
-
-
 # ------------------------------------------------------------------ the list
 
 FIGURE_1, FIGURE_2, WORDS = "Figure 5.1", "Figure 5.2", "Section 5.2, text to Figure 5.1"
@@ -259,31 +254,29 @@ STATEMENTS: list[Statement] = [
         for letter, score in (("d", "bald"), ("e", "variation-ratios"), ("f", "max-entropy"))
     ),
     *(
-        Statement(
+        stated(
             f"AL6{letter}", f"{SCORES[score]} over weight draws needs far fewer acquisitions to 5 % than its Softmax "
-            "version: less than 0.8 times as many.", "Table 5.2", "less", 0.1, TABLES, partial(ratio, score),
-            unit="", thesis=0.8,
+            "version: less than 0.8 times as many.", "Table 5.2", "less", 0.1, partial(ratio, score), thesis=0.8,
         )
         for letter, score in (("a", "max-entropy"), ("b", "variation-ratios"), ("c", "bald"))
     ),
-    audit("AL7a", "Softmax BALD cannot choose: all candidates have the same score in every round.", FIGURE_1,
-          partial(all_tied, "softmax/bald")),
-    audit("AL7b", "Softmax Variation Ratios cannot choose: all candidates have the same score in every round.",
-          FIGURE_1, partial(all_tied, "softmax/variation-ratios")),
-    audit("AL8a", "Table 5.1 prints the minima of the recorded mean curves.", "Table 5.1", minima),
-    audit("AL8b", "The rows of the tables come from two networks.", "Tables 5.1 and 5.2", partial(mixed, "kernel")),
-    audit("AL8c", "They come from two weight decays.", "Tables 5.1 and 5.2", partial(mixed, "decay")),
-    audit("AL8d", "They search different parts of the pool.", "Tables 5.1 and 5.2", partial(mixed, "subset")),
+    fact("AL7a", "Softmax BALD cannot choose: all candidates have the same score in every round.", FIGURE_1,
+         partial(all_tied, "softmax/bald")),
+    fact("AL7b", "Softmax Variation Ratios cannot choose: all candidates have the same score in every round.",
+         FIGURE_1, partial(all_tied, "softmax/variation-ratios")),
+    fact("AL8a", "Table 5.1 prints the minima of the recorded mean curves.", "Table 5.1", minima),
+    fact("AL8b", "The rows of the tables come from two networks.", "Tables 5.1 and 5.2", partial(mixed, "kernel")),
+    fact("AL8c", "They come from two weight decays.", "Tables 5.1 and 5.2", partial(mixed, "decay")),
+    fact("AL8d", "They search different parts of the pool.", "Tables 5.1 and 5.2", partial(mixed, "subset")),
     compared("AL9a", "With 20 to 100 labels, dropout in training lowers the test error.", "Section 5.2, paragraph 3",
              "more", "random-without-dropout", "random", (0, 80)),
     compared("AL9b", "With 100 to 400 labels it does so too.", "Section 5.2, paragraph 3", "more",
              "random-without-dropout", "random", (80, 380)),
-    Statement("AL9c", "An average over weight draws predicts as well as weight scaling.", "Section 5.2, paragraph 4",
-              "equality", MARGIN_END, TABLES, averaging, unit="points"),
+    stated("AL9c", "An average over weight draws predicts as well as weight scaling.", "Section 5.2, paragraph 4",
+           "equality", MARGIN_END, averaging, unit="points"),
     *(
-        Statement(f"AL10{letter}", f"The test error of {LABELS[name]} has converged at 1000 labels.",
-                  "Section 5.2, text to Table 5.1", "equality", 0.1, TABLES, partial(slope, name),
-                  unit="points per 100 labels")
+        stated(f"AL10{letter}", f"The test error of {LABELS[name]} has converged at 1000 labels.",
+               "Section 5.2, text to Table 5.1", "equality", 0.1, partial(slope, name), unit="points per 100 labels")
         for letter, name in zip("abcd", ("random", *(f"dropout/{score}" for score in SCORES)), strict=True)
     ),
     in_pool("AL11", "Where images are ambiguous, weight draws choose better labels: BALD against the entropy of one "

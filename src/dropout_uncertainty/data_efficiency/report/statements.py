@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.report.analysis import (
     steps_predicted,
 )
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, from_range, on_average, shifted
+from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, from_range, on_average, shifted
 from dropout_uncertainty.stats import (
     Statistic,
     bootstrap_estimate,
@@ -28,21 +28,13 @@ from dropout_uncertainty.stats import (
     t_interval,
 )
 
-__all__ = ["DOUBT", "MARGIN_COST", "MARGIN_LOG", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "dearer", "stated"]
+__all__ = ["DOUBT", "MARGIN_COST", "MARGIN_LOG", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "dearer"]
 
 CHAPTER, DOUBT = "5_4_data_efficiency", "5_4_what_doubt_is_worth"
 #: Margins: of the mean cost per step of trials 1-25, of shares, of trials to solve, and of logarithms of deviations.
 MARGIN_COST, MARGIN_SHARE, MARGIN_TRIALS, MARGIN_LOG = 0.05, 0.1, 3.0, math.log(1.1)
 
-Measure = Callable[[Path | None], Measured | None]
-
-
-def stated(
-    identifier: str, text: str, where: str, kind: Kind, margin: float, measure: Measure, *,
-    unit: str = "", thesis: float | None = None, chapter: str = CHAPTER, primary: bool = False, would_test: str = "",
-) -> Statement:  # fmt: skip
-    """Return a statement of section 5.4."""
-    return Statement(identifier, text, where, kind, margin, chapter, measure, unit, thesis, primary, would_test)
+stated = partial(Statement, chapter=CHAPTER)
 
 
 def cost_of_learning(learning: Learning, trials: int = 25) -> Float[np.ndarray, " R"]:

@@ -33,6 +33,7 @@ from dropout_uncertainty.judging.statements import (
     Kind,
     Measured,
     Statement,
+    audit,
     audited,
     nothing,
     on_average,
@@ -224,12 +225,8 @@ TEXT, FOOTNOTE, REMARK = "Section 5.3, text to Figure 5.4", "Section 5.3, footno
 STADIE = "runs on the Atari games of Stadie et al. (2015), out of reach here; the thesis quotes the counts"
 
 
-def stated(
-    identifier: str, text: str, where: str, kind: Kind, margin: float,
-    measure: Callable[[Path | None], Measured | None], unit: str = "reward", thesis: float | None = None,
-) -> Statement:  # fmt: skip
-    """Return a statement of the chapter."""
-    return Statement(identifier, text, where, kind, margin, CHAPTER, measure, unit=unit, thesis=thesis)
+stated = partial(Statement, chapter=CHAPTER, unit="reward")
+fact = partial(audit, chapter=CHAPTER)
 
 
 def cut(
@@ -237,43 +234,45 @@ def cut(
     kind: Kind = "more", primary: bool = False,
 ) -> Statement:  # fmt: skip
     """Return a statement about two agents that differ in how they learn, or act, or for how long they hold a draw."""
-    return Statement(
-        identifier, text, where, kind, MARGIN, TWO_BY_TWO, partial(contrast, first, second, ticks), unit="reward",
-        primary=primary, would_test="20 runs of both agents in worlds of their own",
+    return stated(
+        identifier, text, where, kind, MARGIN, partial(contrast, first, second, ticks), primary=primary,
+        would_test="20 runs of both agents in worlds of their own", chapter=TWO_BY_TWO,
     )  # fmt: skip
 
 
 def dived(identifier: str, text: str, other: str, *, primary: bool = False) -> Statement:
     """Return a statement about the agent that holds a draw for an episode and another one, in Deep Sea."""
-    return Statement(
-        identifier, text, "Section 5.3, first paragraph", "more", MARGIN_SHARE, TWO_BY_TWO, partial(deeper, other),
-        unit="share", primary=primary, would_test="20 runs of both agents in Deep Sea of size 10, 2,000 episodes each",
+    return stated(
+        identifier, text, "Section 5.3, first paragraph", "more", MARGIN_SHARE, partial(deeper, other), unit="share",
+        primary=primary, would_test="20 runs of both agents in Deep Sea of size 10, 2,000 episodes each",
+        chapter=TWO_BY_TWO,
     )  # fmt: skip
 
 
 def quoted(identifier: str, text: str) -> Statement:
     """Return a statement about counts that the thesis quotes from Stadie et al. (2015)."""
-    return Statement(identifier, text, REMARK, "more", 0.0, CHAPTER, nothing, unit="games", would_test=STADIE)
+    return stated(identifier, text, REMARK, "more", 0.0, nothing, unit="games", would_test=STADIE)
 
 
 STATEMENTS: list[Statement] = [
     stated("EX1a", "By batch 25 more than half of the runs of Thompson sampling have reached a reward of 1.", TEXT,
-           "more", MARGIN_SHARE, partial(touched, "ours"), "share", 0.5),
+           "more", MARGIN_SHARE, partial(touched, "ours"), unit="share", thesis=0.5),
     stated("EX1b", "At batch 25 the mean curve of Thompson sampling is above 1.", TEXT, "more", MARGIN,
            partial(height, "ours"), thesis=TARGET),
     stated("EX1c", "EX1a with both agents in one world, as in the original program.", TEXT, "more", MARGIN_SHARE,
-           partial(touched, "as-demo"), "share", 0.5),
+           partial(touched, "as-demo"), unit="share", thesis=0.5),
     stated("EX1d", "EX1b with both agents in one world.", TEXT, "more", MARGIN, partial(height, "as-demo"),
            thesis=TARGET),
     *(
         stated(identifier, f"ε-greedy takes 175 batches to a reward of 1{words}.", TEXT, "value",
-               NEAR * CLAIMED["epsilon-greedy"], partial(arrival, config), "batches", CLAIMED["epsilon-greedy"])
+               NEAR * CLAIMED["epsilon-greedy"], partial(arrival, config), unit="batches",
+               thesis=CLAIMED["epsilon-greedy"])
         for identifier, words, config in (("EX2a", "", "ours"), ("EX2b", ", both agents in one world", "as-demo"))
     ),
     stated("EX2c", "ε-greedy takes seven times as many batches as Thompson sampling.", TEXT, "value", NEAR * 7,
-           partial(quicker, 7.0), "times", 7.0),
+           partial(quicker, 7.0), unit="times", thesis=7.0),
     stated("EX2d", "Thompson sampling is the quicker of the two.", "Section 5.3, second paragraph", "more", NEAR,
-           partial(quicker, 1.0), "times", 1.0),
+           partial(quicker, 1.0), unit="times", thesis=1.0),
     stated("EX3a", "Thompson sampling stops improving after 1000 batches.", FOOTNOTE, "equality", MARGIN,
            partial(gain, "thompson")),
     stated("EX3b", "ε-greedy goes on improving after 1000 batches.", FOOTNOTE, "more", MARGIN,
@@ -281,10 +280,10 @@ STATEMENTS: list[Statement] = [
     cut("EX3c", "That is because Thompson sampling still draws: with masks off while acting it earns more late.",
         FOOTNOTE, "masks-off-late", "dropout-draw", (100_000, 200_000)),
     stated("EX3d", "After 1000 batches Thompson sampling leaves its best move more often than ε-greedy.", FOOTNOTE,
-           "more", MARGIN_SHARE, random_moves, "share"),
-    Statement("EX3e", "ε-greedy only exploits after 1000 batches.", FOOTNOTE, "audit", 0.0, CHAPTER, only_exploits),
-    Statement("EX4", "In the published program dropout stands before every weight layer.",
-              "Section 5.3, fourth paragraph", "audit", 0.0, CHAPTER, everywhere),
+           "more", MARGIN_SHARE, random_moves, unit="share"),
+    fact("EX3e", "ε-greedy only exploits after 1000 batches.", FOOTNOTE, only_exploits),
+    fact("EX4", "In the published program dropout stands before every weight layer.", "Section 5.3, fourth paragraph",
+         everywhere),
     *(
         stated(f"EX5{letter}", f"{words} earns more than Thompson sampling, {when}.", REMARK, "more", MARGIN,
                partial(reward, policy, "thompson", ticks))
@@ -296,9 +295,9 @@ STATEMENTS: list[Statement] = [
         )
     ),
     stated("EX6a", "The wide network over-fits more than the narrow one.", "Section 5.3, fourth paragraph", "more",
-           MARGIN_TD, partial(widths, held_out_gap, "wide", "narrow"), "squared TD error"),
+           MARGIN_TD, partial(widths, held_out_gap, "wide", "narrow"), unit="squared TD error"),
     stated("EX6b", "Dropout lowers the over-fitting of the wide network.", "Section 5.3, second paragraph", "less",
-           MARGIN_TD, partial(widths, held_out_gap, "wide-dropout", "wide"), "squared TD error"),
+           MARGIN_TD, partial(widths, held_out_gap, "wide-dropout", "wide"), unit="squared TD error"),
     stated("EX6c", "The wide network with dropout earns more than the narrow one without.",
            "Section 5.3, fourth paragraph", "more", MARGIN,
            partial(widths, lambda c: c.later("reward"), "wide-dropout", "narrow")),

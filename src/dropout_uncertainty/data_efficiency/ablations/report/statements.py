@@ -25,14 +25,14 @@ from dropout_uncertainty.data_efficiency.report.statements import (
     cost_of_learning,
 )
 from dropout_uncertainty.data_efficiency.report.statements import dearer as of_configs
-from dropout_uncertainty.data_efficiency.report.statements import stated as of_section
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, audited, on_average, shifted
+from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, audit, audited, on_average, shifted
 from dropout_uncertainty.stats import bootstrap_estimate
 
 __all__ = ["SENSITIVITY", "STATEMENTS"]
 
-stated = partial(of_section, chapter="5_4_what_matters")
+CHAPTER = "5_4_what_matters"
+stated = partial(Statement, chapter=CHAPTER)
 #: Margin of exponents.
 MARGIN_EXPONENT = 0.25
 
@@ -173,6 +173,6 @@ STATEMENTS: list[Statement] = [
                "equality", MARGIN_COST, partial(dearer, name, None), unit="cost per step")
         for letter, (words, name) in zip("abcdefghi", CHANGES, strict=True)
     ),
-    stated("DE12", "Equation 3.14's weight decay belongs beside half the mean squared error.", "Equation 3.14", "audit",
-           0.0, half_belongs),
+    audit("DE12", "Equation 3.14's weight decay belongs beside half the mean squared error.", "Equation 3.14",
+          half_belongs, chapter=CHAPTER),
 ]  # fmt: skip
