@@ -13,8 +13,8 @@ from scipy import ndimage
 from scipy import stats as scipy_stats
 
 __all__ = [
-    "CONFIDENCE", "Estimate", "Interval", "Statistic", "bootstrap_estimate", "bootstrap_interval", "crossing_interval",
-    "difference_of_means", "difference_of_shares", "first_crossings", "in_digits", "in_words", "mean_estimate",
+    "CONFIDENCE", "Estimate", "Interval", "Statistic", "bootstrap_estimate", "bootstrap_interval", "common",
+    "crossing_interval", "difference_of_shares", "first_crossings", "in_digits", "in_words", "mean_estimate",
     "median_filter", "median_interval", "paired_difference", "share_estimate", "share_interval", "smaller_median",
     "t_interval",
 ]  # fmt: skip
@@ -90,18 +90,6 @@ def mean_estimate(values: Sequence[float] | np.ndarray) -> Estimate:
     if n < 2:
         return _unknown(float(values.mean()) if n else np.nan, n)
     return _student(float(values.mean()), float(scipy_stats.sem(values)), n - 1, n)
-
-
-def difference_of_means(first: Sequence[float] | np.ndarray, second: Sequence[float] | np.ndarray) -> Estimate:
-    """Return mean(first) - mean(second) of two independent samples that may vary differently (Welch, 1947)."""
-    first, second = np.asarray(first, float), np.asarray(second, float)
-    n = min(len(first), len(second))
-    if n < 2:
-        return _unknown(float(first.mean() - second.mean()) if n else np.nan, n)
-    squares = np.array([scipy_stats.sem(sample) ** 2 for sample in (first, second)])
-    value, error = float(first.mean() - second.mean()), float(squares.sum() ** 0.5)
-    parts = squares**2 / (np.array([len(first), len(second)]) - 1)
-    return _student(value, error, float(squares.sum() ** 2 / parts.sum()) if error > 0 else 1.0, n)
 
 
 def share_estimate(flags: Sequence[bool] | np.ndarray, claimed: float) -> Estimate:
@@ -211,6 +199,12 @@ def share_interval(flags: Sequence[bool] | np.ndarray) -> Interval:
         return Interval(np.nan, np.nan, np.nan, 0)
     limits = scipy_stats.binomtest(int(flags.sum()), n).proportion_ci(CONFIDENCE, method="wilson")
     return Interval(float(flags.mean()), float(limits.low), float(limits.high), n)
+
+
+def common(*seeds: Sequence[int]) -> list[list[int]]:
+    """Return for each sample the places of the seeds that all of them have, in the order of the first."""
+    shared = [seed for seed in seeds[0] if all(seed in own for own in seeds)]
+    return [[own.index(seed) for seed in shared] for own in seeds]
 
 
 def paired_difference(first: Sequence[float] | np.ndarray, second: Sequence[float] | np.ndarray) -> Interval:

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import (
     Interval,
     bootstrap_interval,
+    common,
     crossing_interval,
     first_crossings,
     in_words,
@@ -23,7 +24,7 @@ from dropout_uncertainty.stats import (
 
 __all__ = [
     "EARLY", "END", "LABELS", "Row", "against_deterministic", "check_quick", "from_records", "load_rows",
-    "original_rows", "paired_curves", "paired_error", "results", "share_tied", "table_5_1", "table_5_2",
+    "original_rows", "paired", "paired_curves", "paired_error", "results", "share_tied", "table_5_1", "table_5_2",
     "table_settings",
 ]  # fmt: skip
 
@@ -87,6 +88,11 @@ class Row:
         """Minimum of the mean curve in %, the statistic that Table 5.1 prints."""
         return bootstrap_interval(lambda i: self.error[i].mean(-2).min(-1), len(self.error))
 
+    def mean(self, acquired: tuple[int, int]) -> Float[np.ndarray, " R"]:
+        """Return the mean test error in % of each repetition over a range of acquired points, both ends included."""
+        points = self.labels - self.labels[0]
+        return self.error[:, (points >= acquired[0]) & (points <= acquired[1])].mean(1)
+
     def crossing(self, threshold: float = THRESHOLD, *, width: int = 1) -> Interval:
         """Acquisitions until the mean curve, after a median of ``width`` points, is at ``threshold`` % or below."""
         return crossing_interval(self.error, threshold, width=width)
@@ -149,14 +155,21 @@ def original_rows() -> dict[str, Row]:
     return {name: rows[name] for name in LABELS if name in rows}
 
 
+def paired(first: Row, second: Row) -> tuple[Row, ...]:
+    """Return the repetitions of the seeds that both rows have, in one order."""
+    rows = zip((first, second), common(first.seeds, second.seeds), strict=True)
+    return tuple(
+        replace(row, error=row.error[places], seeds=tuple(row.seeds[place] for place in places)) for row, places in rows
+    )
+
+
 def paired_curves(first: Row, second: Row) -> tuple[Int[np.ndarray, " T"], Float[np.ndarray, "R T"]]:
     """Return acquired points, and there the test error of one row less that of another, in points of %.
 
     One curve per seed that both have, as far as both rows go.
     """
-    common = [seed for seed in first.seeds if seed in second.seeds]
     length = min(len(first.labels), len(second.labels))
-    one, two = (row.error[[row.seeds.index(seed) for seed in common], :length] for row in (first, second))
+    one, two = (row.error[:, :length] for row in paired(first, second))
     return first.labels[:length] - first.labels[0], one - two
 
 

@@ -10,10 +10,10 @@ from jaxtyping import Float, Int
 from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.experiment import CONFIGS, POOL_ROWS, SENSITIVITY, task_of
 from dropout_uncertainty.active_learning.noisy_pools import Task
-from dropout_uncertainty.active_learning.report.analysis import LABELS, Row, load_rows
-from dropout_uncertainty.judging.results import Result, measured
+from dropout_uncertainty.active_learning.report.analysis import LABELS, Row, load_rows, paired
+from dropout_uncertainty.judging.results import Result, listed
 from dropout_uncertainty.judging.rules import Side, comparison
-from dropout_uncertainty.stats import Interval, in_words, mean_estimate, t_interval
+from dropout_uncertainty.stats import in_words, mean_estimate, t_interval
 
 __all__ = [
     "CONTRASTS", "END", "NOISE", "RANGE", "STATEMENTS", "Contrast", "acquired", "contrast", "contrasts", "load",
@@ -89,9 +89,7 @@ def load(family: str = "pools", folder: Path | None = None, *, published: bool =
 
 def mean_error(row: Row, points: tuple[int, int] = RANGE) -> Float[np.ndarray, " R"]:
     """Return each run's mean test error in % over a range of acquired points, or over all that a shorter run has."""
-    numbers = row.labels - row.labels[0]
-    wanted = (numbers >= points[0]) & (numbers <= points[1])
-    return row.error[:, wanted if wanted.any() else slice(None)].mean(1)
+    return row.mean(points) if points[0] <= row.labels[-1] - row.labels[0] else row.error.mean(1)
 
 
 def noise(row: Row) -> Float[np.ndarray, " R"]:
@@ -104,11 +102,8 @@ def noise(row: Row) -> Float[np.ndarray, " R"]:
 def contrast(pools: Mapping[str, Mapping[str, Row]], kind: str, first: str, second: str,
              points: tuple[int, int] = RANGE) -> Contrast:  # fmt: skip
     """Return a comparison over the seeds that both rows have; none of them where a row has not been run."""
-    rows = [pools[kind].get(name) for name in (first, second)]
-    common = sorted(set.intersection(*(set(row.seeds) if row else set() for row in rows)))
-    one, two = (
-        mean_error(r, points)[[r.seeds.index(s) for s in common]] if r and common else np.zeros(0) for r in rows
-    )
+    rows = [pools[kind][name] for name in (first, second) if name in pools[kind]]
+    one, two = (mean_error(row, points) for row in paired(*rows)) if len(rows) == 2 else (np.zeros(0), np.zeros(0))
     return Contrast(kind, first, second, (one, two))
 
 
@@ -173,18 +168,13 @@ def acquired(kind: str, row: Row) -> tuple[Task, Int[np.ndarray, " n"]]:
 
 def results(folder: Path | None = None) -> list[Result]:
     """Return ``pools/<pool>/<row>/error`` and ``/noise``."""
-    return [
-        result for kind, rows in load(folder=folder).items() for row in rows.values() for result in _results(kind, row)
-    ]
-
-
-def _results(kind: str, row: Row) -> Iterator[Result]:
-    def result(what: str, interval: Interval, unit: str, statistic: str) -> Result:
-        return measured(
-            f"pools/{kind}/{row.name}/{what}", interval, row.records, unit=unit, statistic=statistic, config=row.config
-        )
-
-    error = t_interval(mean_error(row))
-    yield result("error", error, "%", f"mean test error over {RANGE[0]} to {RANGE[1]} acquired points")
-    if kind in NOISE:
-        yield result("noise", t_interval(100 * noise(row)), "%", f"share of {NOISE[kind]} among the acquired points")
+    found = []
+    for kind, rows in load(folder=folder).items():
+        for row in rows.values():
+            error = f"mean test error over {RANGE[0]} to {RANGE[1]} acquired points"
+            numbers = [("error", t_interval(mean_error(row)), "%", error)]
+            if kind in NOISE:
+                share = t_interval(100 * noise(row))
+                numbers.append(("noise", share, "%", f"share of {NOISE[kind]} among the acquired points"))
+            found += listed(f"pools/{kind}/{row.name}", numbers, row.records, row.config)
+    return found

@@ -19,6 +19,7 @@ from dropout_uncertainty.active_learning.report.analysis import (
     Row,
     load_rows,
     original_rows,
+    paired,
     share_tied,
 )
 from dropout_uncertainty.judging.results import printed
@@ -104,14 +105,6 @@ def of_table(identifier: str, table: str, name: str) -> Statement:
 # ------------------------------------------------------------------ comparisons
 
 
-def means(row: Row, acquired: tuple[int, int], name: str = "error") -> dict[int, float]:
-    """Return the mean test error of each seed over a range of acquired points, both ends included."""
-    points = row.labels - row.labels[0]
-    wanted = (points >= acquired[0]) & (points <= acquired[1])
-    values = row.error if name == "error" else row.stack(name)
-    return dict(zip(row.seeds, values[:, wanted].mean(1), strict=True))
-
-
 def curves(
     first: str, second: str, acquired: tuple[int, int], folder: Path | None, family: str = "ours"
 ) -> Measured | None:
@@ -123,10 +116,10 @@ def curves(
     return on_average(differences, [*rows[first].records, *rows[second].records])
 
 
-def apart(acquired: tuple[int, int], first: Row, second: Row) -> list[float]:
+def apart(acquired: tuple[int, int], first: Row, second: Row) -> Float[np.ndarray, " R"]:
     """Return the mean test error of one row less that of another over a range, one number per seed of both."""
-    one, two = (means(row, acquired) for row in (first, second))
-    return [one[seed] - two[seed] for seed in one if seed in two]
+    one, two = paired(first, second)
+    return one.mean(acquired) - two.mean(acquired)
 
 
 def compared(
@@ -156,10 +149,9 @@ def ratio(score: str, folder: Path | None) -> Measured | None:
     names = [f"{kind}/{score}" for kind in ("dropout", "softmax")]
     if not set(names) <= rows.keys():
         return None
-    seeds = [seed for seed in rows[names[0]].seeds if seed in rows[names[1]].seeds]
-    first, second = (rows[n].error[[rows[n].seeds.index(seed) for seed in seeds]] for n in names)
+    first, second = (row.error for row in paired(*(rows[name] for name in names)))
     difference = bootstrap_estimate(
-        lambda i: crossing_at_least(first)(i) / crossing(second)(i) - 0.8, len(seeds),
+        lambda i: crossing_at_least(first)(i) / crossing(second)(i) - 0.8, len(first),
         most=lambda i: crossing(first)(i) / crossing_at_least(second)(i) - 0.8,
     )  # fmt: skip
     found = [record for name in names for record in rows[name].records]

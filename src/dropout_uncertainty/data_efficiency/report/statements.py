@@ -22,6 +22,7 @@ from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, fr
 from dropout_uncertainty.stats import (
     Statistic,
     bootstrap_estimate,
+    common,
     difference_of_shares,
     share_estimate,
     smaller_median,
@@ -166,6 +167,14 @@ FIGURE_5_8 = [
 # ------------------------------------------------------------------ doubt
 
 
+def apart(
+    quantity: Callable[[Learning], Float[np.ndarray, " R"]], first: Learning, second: Learning
+) -> Float[np.ndarray, " R"]:
+    """Return a quantity of one learner less that of another, for each seed that both have."""
+    one, two = common(first.seeds, second.seeds)
+    return quantity(first)[one] - quantity(second)[two]
+
+
 def dearer(first: tuple[str, ...], second: str, trials: int, folder: Path | None) -> Measured | None:
     """Return the cost of learning of the first config that has records less that of another, paired by seed."""
     one = next(filter(None, (load(name, folder) for name in first)), None)
@@ -173,9 +182,7 @@ def dearer(first: tuple[str, ...], second: str, trials: int, folder: Path | None
     if one is None or two is None:
         return None
     until = min(trials, one.trials, two.trials)
-    costs = [dict(zip(x.seeds, cost_of_learning(x, until), strict=True)) for x in (one, two)]
-    differences = [costs[0][seed] - costs[1][seed] for seed in one.seeds if seed in costs[1]]
-    return on_average(differences, [*one.records, *two.records])
+    return on_average(apart(lambda x: cost_of_learning(x, until), one, two), [*one.records, *two.records])
 
 
 def promised(folder: Path | None) -> Measured | None:
@@ -203,15 +210,15 @@ def fades(config: str, folder: Path | None) -> Measured | None:
 
 def predicts_better(first: str, second: str, folder: Path | None) -> Measured | None:
     """Return the log ratio of two learners' root mean squared errors of the predicted angle, paired by seed."""
-    found = [load(name, folder) for name in (first, second)]
-    if found[0] is None or found[1] is None:
+    one, two = load(first, folder), load(second, folder)
+    if one is None or two is None:
         return None
-    errors = []
-    for x in (found[0], found[1]):
+
+    def error(x: Learning) -> np.ndarray:
         missed = x.arrays["states"][:, 1:, 1:, 3].astype(float) - x.arrays["predicted_mean"][:, 1:, 1:, 3]
-        errors.append(dict(zip(x.seeds, np.log(np.square(missed).mean((1, 2))) / 2, strict=True)))
-    differences = [errors[0][seed] - errors[1][seed] for seed in found[0].seeds if seed in errors[1]]
-    return on_average(differences, [*found[0].records, *found[1].records])
+        return np.log(np.square(missed).mean((1, 2))) / 2
+
+    return on_average(apart(error, one, two), [*one.records, *two.records])
 
 
 def solved_more(first: str, second: str, trial: int, folder: Path | None) -> Measured | None:

@@ -15,6 +15,7 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import (
     Interval,
     bootstrap_interval,
+    common,
     first_crossings,
     in_words,
     median_interval,
@@ -108,11 +109,11 @@ class Curves:
         values = self.arrays[name]
         return values[:, values.shape[1] // 2 :].astype(float).mean(1)
 
-    def only(self, seeds: Sequence[int]) -> "Curves":
-        """Return the runs of some seeds, in their order."""
-        rows = [self.seeds.index(seed) for seed in seeds]
-        arrays = {name: values[rows] for name, values in self.arrays.items() if name != "weights"}
-        return replace(self, average=self.average[rows], seeds=tuple(seeds), arrays=arrays)
+    def only(self, places: Sequence[int]) -> "Curves":
+        """Return some of the runs, by their places."""
+        arrays = {name: values[places] for name, values in self.arrays.items() if name != "weights"}
+        seeds = tuple(self.seeds[place] for place in places)
+        return replace(self, average=self.average[places], seeds=seeds, arrays=arrays)
 
 
 #: The agents of one config, by policy.
@@ -202,8 +203,8 @@ def mean_crossing(curves: Curves, target: float = TARGET) -> float:
 
 def paired(*curves: Curves) -> tuple[Curves, ...]:
     """Return the runs of the seeds that all of some curves have, in one order."""
-    seeds = [seed for seed in curves[0].seeds if all(seed in other.seeds for other in curves)]
-    return tuple(one.only(seeds) for one in curves)
+    places = common(*(one.seeds for one in curves))
+    return tuple(one.only(mine) for one, mine in zip(curves, places, strict=True))
 
 
 def advantage(agents: Agents, first: str, second: str) -> Interval:

@@ -112,15 +112,14 @@ def obtain(profile: str) -> Cells:
 
 
 def differences(cells: Mapping[str, Curves], contrast: Contrast) -> Float[np.ndarray, " R"]:
-    """Return the contrast for each seed that all of its agents have, in order of the seeds.
+    """Return the contrast for each seed that all of its agents have.
 
     Raises:
         KeyError: if an agent is missing.
     """
-    agents = {name: cells[name] for name in contrast.weights}
-    seeds = sorted(set.intersection(*(set(curves.seeds) for curves in agents.values())))
-    means = {name: dict(zip(c.seeds, c.mean(*contrast.ticks, "reward"), strict=True)) for name, c in agents.items()}
-    return np.array([sum(weight * means[name][seed] for name, weight in contrast.weights.items()) for seed in seeds])
+    agents = analysis.paired(*(cells[name] for name in contrast.weights))
+    weighted = zip(contrast.weights.values(), agents, strict=True)
+    return np.sum([weight * curves.mean(*contrast.ticks, "reward") for weight, curves in weighted], axis=0)
 
 
 def interval(cells: Mapping[str, Curves], contrast: Contrast) -> Interval | None:

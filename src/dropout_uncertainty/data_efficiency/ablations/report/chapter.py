@@ -159,7 +159,7 @@ def matching(seen: Inside) -> Words:
         f"Free particles had parted at {free:.0%} of the steps, matched ones at {matched:.0%}. Putting a Gaussian in "
         f"their place changes the cost of a step by {had:+.3f} where they had, by {had_not:+.3f} where they had not; "
         f"the rank correlation of the depth of the valley and that change is "
-        f"{in_words(t_interval(seen.penalty_correlation))}."
+        f"{in_words(t_interval(seen.penalty_correlation()))}."
     )
 
 
