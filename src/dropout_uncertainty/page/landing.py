@@ -35,6 +35,7 @@ from dropout_uncertainty.judging.collect import SECTIONS, STATEMENTS, collect
 from dropout_uncertainty.judging.results import Result, thesis_value
 from dropout_uncertainty.judging.statements import KINDS, Judged, Statement, StatementResult, judge
 from dropout_uncertainty.page.plotting import COLOURS
+from dropout_uncertainty.page.tables import grid_of
 from dropout_uncertainty.runs.records import Record, root
 from dropout_uncertainty.stats import Interval, in_words, t_interval
 
@@ -100,8 +101,7 @@ def readme(text: str, found: Iterable[Result] | None = None) -> str:
         raise UserError(f"the README must hold the lines {BEGIN!r} and {END!r}, between which the numbers are written")
     found = collect() if found is None else list(found)
     heads, rows = numbers(found, "notebooks/{}.ipynb")
-    grid = "\n".join("| " + " | ".join(row) + " |" for row in [heads, [":---"] * len(heads), *rows])
-    block = f"{BEGIN}\n{grid}\n\n{tally(found)}\n{END}"
+    block = f"{BEGIN}\n{grid_of([heads, *rows])}\n\n{tally(found)}\n{END}"
     return re.sub(re.escape(BEGIN) + ".*?" + re.escape(END), lambda _: block, text, flags=re.DOTALL)
 
 

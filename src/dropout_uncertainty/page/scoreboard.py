@@ -15,6 +15,7 @@ from dropout_uncertainty import folders
 from dropout_uncertainty.judging.collect import SECTIONS
 from dropout_uncertainty.judging.rules import Verdict
 from dropout_uncertainty.judging.statements import KINDS, Judged, Statement
+from dropout_uncertainty.page.curve_toggles import CONTROLS
 from dropout_uncertainty.page.tables import Table, command
 from dropout_uncertainty.runs import records as stored
 from dropout_uncertainty.runs.records import Record
@@ -90,25 +91,12 @@ def beside_of(judged: Judged) -> Mapping[str, Interval]:
 
 # ------------------------------------------------------------------ the board
 
-SHEET = """
-#{name} fieldset {{ border: 0; margin: 0 0 0.5rem; padding: 0; display: flex; flex-wrap: wrap; gap: 0 1.2rem; }}
-#{name} legend {{ font-size: inherit; margin: 0; }}
-#{name} label {{ display: inline-flex; align-items: center; gap: 0.4rem; min-height: 1.75rem; cursor: pointer; }}
-#{name} details {{ font-size: 0.85em; overflow-wrap: anywhere; }}
-"""
+DETAILS = "#{name} details {{ font-size: 0.85em; overflow-wrap: anywhere; }}\n"
 HIDE = "#{name}:has(input[value='{verdict}']:checked) tbody tr:not([data-verdict='{verdict}']) {{ display: none; }}\n"
 CHOICE = '<label><input type="radio" name="{name}" value="{verdict}"{checked}> {verdict} ({count})</label>'
 HEADS = [
-    "",
-    "statement",
-    "thesis",
-    "ours [95 % interval]",
-    "margin",
-    "repetitions",
-    "by itself",
-    "adjusted",
-    "rests on",
-]
+    "", "statement", "thesis", "ours [95 % interval]", "margin", "repetitions", "by itself", "adjusted", "rests on",
+]  # fmt: skip
 
 
 class Board:
@@ -134,7 +122,7 @@ class Board:
         choices += [CHOICE.format(name=name, verdict=v, checked="", count=counts[v]) for v in present]
         heads = "".join(f"<th>{head}</th>" for head in HEADS)
         return (
-            f'<div id="{name}"><style>{SHEET.format(name=name)}{hide}</style>\n'
+            f'<div id="{name}"><style>{(CONTROLS + DETAILS).format(name=name)}{hide}</style>\n'
             f"<fieldset><legend>Show</legend>{''.join(choices)}</fieldset>\n"
             f'<table class="table"><thead><tr>{heads}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>'
         )
