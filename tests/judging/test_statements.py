@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from dropout_uncertainty.judging.statements import Measured, Statement, judge
+from dropout_uncertainty.judging.statements import Measured, Statement, judge, nothing
 from dropout_uncertainty.stats import Estimate, Interval
 
 
@@ -60,9 +60,7 @@ def test_primary_statements_pay_for_each_other_and_secondary_ones_do_not():
 
 
 def test_without_records_a_statement_is_untested_and_still_counts_in_its_family():
-    missing = Statement(
-        "x", "", "", "less", 0.5, lambda _: None, chapter="chapter", primary=True, would_test="not run yet"
-    )
+    missing = Statement("x", "", "", "less", 0.5, nothing, chapter="chapter", primary=True, would_test="not run yet")
     judged = judge([missing, statement("a", "less", 0.03, primary=True)])
     assert judged[0].verdict == "untested"
     assert math.isnan(judged[0].p)

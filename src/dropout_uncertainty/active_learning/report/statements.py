@@ -23,7 +23,18 @@ from dropout_uncertainty.active_learning.report.analysis import (
     share_tied,
 )
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audit, audited, on_average, shifted
+from dropout_uncertainty.judging.statements import (
+    NEAR,
+    Kind,
+    Measured,
+    NotRun,
+    Statement,
+    audit,
+    audited,
+    needed,
+    on_average,
+    shifted,
+)
 from dropout_uncertainty.stats import Interval, Statistic, bootstrap_estimate, first_crossings
 
 __all__ = ["STATEMENTS", "ranges"]
@@ -70,11 +81,11 @@ def crossing_at_least(curves: Float[np.ndarray, "R T"]) -> Statistic:
     return lambda indices: np.minimum(crossing(curves)(indices), curves.shape[1])
 
 
-def cell(name: str, table: str, folder: Path | None) -> Measured | None:
+def cell(name: str, table: str, folder: Path | None) -> Measured:
     """Return a cell of Table 5.1 or 5.2: our statistic less that of the original program's curves, both resampled."""
-    row = load_rows("ours", folder).get(name)
-    if row is None or len(row.error) < 3:
-        return None
+    row = needed(load_rows("ours", folder).get(name))
+    if len(row.error) < 3:
+        raise NotRun
     least, most = (lowest, lowest) if table == "table-5.1" else (crossing_at_least, crossing)
     error, original = row.error, original_rows()[name].error
     difference = bootstrap_estimate(
@@ -105,15 +116,11 @@ def of_table(identifier: str, table: str, name: str) -> Statement:
 # ------------------------------------------------------------------ comparisons
 
 
-def curves(
-    first: str, second: str, acquired: tuple[int, int], folder: Path | None, family: str = "ours"
-) -> Measured | None:
+def curves(first: str, second: str, acquired: tuple[int, int], folder: Path | None, family: str = "ours") -> Measured:
     """Return the test error of one row less that of another, paired by seed."""
     rows = load_rows(family, folder)
-    if not {first, second} <= rows.keys():
-        return None
-    differences = apart(acquired, rows[first], rows[second])
-    return on_average(differences, [*rows[first].records, *rows[second].records])
+    one, two = (needed(rows.get(name)) for name in (first, second))
+    return on_average(apart(acquired, one, two), [*one.records, *two.records])
 
 
 def apart(acquired: tuple[int, int], first: Row, second: Row) -> Float[np.ndarray, " R"]:
@@ -143,34 +150,29 @@ def in_pool(
     )  # fmt: skip
 
 
-def ratio(score: str, folder: Path | None) -> Measured | None:
+def ratio(score: str, folder: Path | None) -> Measured:
     """Return acquisitions to 5 % with weight draws by those without, less the 0.8 from which "far fewer" begins."""
     rows = load_rows("ours", folder)
-    names = [f"{kind}/{score}" for kind in ("dropout", "softmax")]
-    if not set(names) <= rows.keys():
-        return None
-    first, second = (row.error for row in paired(*(rows[name] for name in names)))
+    both = paired(*(needed(rows.get(f"{kind}/{score}")) for kind in ("dropout", "softmax")))
+    first, second = (row.error for row in both)
     difference = bootstrap_estimate(
         lambda i: crossing_at_least(first)(i) / crossing(second)(i) - 0.8, len(first),
         most=lambda i: crossing(first)(i) / crossing_at_least(second)(i) - 0.8,
     )  # fmt: skip
-    found = [record for name in names for record in rows[name].records]
-    return Measured(difference, shifted(difference.interval, 0.8), found)
+    return Measured(difference, shifted(difference.interval, 0.8), [record for row in both for record in row.records])
 
 
-def averaging(folder: Path | None) -> Measured | None:
+def averaging(folder: Path | None) -> Measured:
     """Return the test error of weight scaling less that of an average over draws, where both were measured."""
-    row = load_rows("ours", folder).get("random")
-    if row is None:
-        return None
+    row = needed(load_rows("ours", folder).get("random"))
     averaged = row.stack("mc_error")
     return on_average((row.error - averaged)[:, ~np.isnan(averaged[0])].mean(1), row.records)
 
 
-def slope(name: str, folder: Path | None) -> Measured | None:
+def slope(name: str, folder: Path | None) -> Measured:
     """Return by how much the last 100 labels change the test error of a row."""
-    row = load_rows("ours", folder).get(name)
-    return None if row is None else on_average(rise(row), row.records)
+    row = needed(load_rows("ours", folder).get(name))
+    return on_average(rise(row), row.records)
 
 
 def rise(row: Row) -> Float[np.ndarray, " R"]:
@@ -182,11 +184,9 @@ def rise(row: Row) -> Float[np.ndarray, " R"]:
 # ------------------------------------------------------------------ audits
 
 
-def all_tied(name: str, folder: Path | None) -> Measured | None:
+def all_tied(name: str, folder: Path | None) -> Measured:
     """Return whether every candidate had the same score in every round of a row."""
-    row = load_rows("ours", folder).get(name)
-    if row is None:
-        return None
+    row = needed(load_rows("ours", folder).get(name))
     share = share_tied(row)
     return Measured(audited(share == 1.0).difference, Interval(share, np.nan, np.nan, len(row.seeds)), row.records)
 

@@ -35,6 +35,7 @@ from dropout_uncertainty.judging.statements import (
     Statement,
     audit,
     audited,
+    needed,
     nothing,
     on_average,
     shifted,
@@ -59,10 +60,10 @@ CLAIMED = {agent: printed(f"figure-5.4/{agent}/first-crossing") for agent in ("t
 Pair = tuple[Curves, Curves]
 
 
-def agents(config: str, folder: Path | None, *policies: str) -> tuple[Curves, ...] | None:
-    """Return the curves of some agents of a config, None if one of them has no record."""
+def agents(config: str, folder: Path | None, *policies: str) -> tuple[Curves, ...]:
+    """Return the curves of some agents of a config; raises NotRun if one of them has no record."""
     found = load(config, folder)
-    return tuple(found[name] for name in policies) if set(policies) <= found.keys() else None
+    return tuple(needed(found.get(name)) for name in policies)
 
 
 def records_of(*curves: Curves) -> list:
@@ -73,25 +74,21 @@ def records_of(*curves: Curves) -> list:
 # ------------------------------------------------------------------ Figure 5.4
 
 
-def touched(config: str, folder: Path | None) -> Measured | None:
+def touched(config: str, folder: Path | None) -> Measured:
     """Return the share of Thompson runs that have reached 1 by batch 25, less the half from which "does" begins."""
     found = agents(config, folder, "thompson")
-    if found is None:
-        return None
     by, runs = CLAIMED["thompson"], found[0].crossings()
     half = share_estimate(batches(runs) <= by, 0.5)
     short = share_estimate(batches(runs, 200) <= by, 0.0).interval
     beside = {"batches of 200 ticks": short}
-    if text := agents("as-written", folder, "thompson"):
-        beside["dropout where the text has it"] = share_estimate(batches(text[0].crossings()) <= by, 0.0).interval
+    if text := load("as-written", folder).get("thompson"):
+        beside["dropout where the text has it"] = share_estimate(batches(text.crossings()) <= by, 0.0).interval
     return Measured(half, shifted(half.interval, 0.5), found[0].records, beside)
 
 
-def height(config: str, folder: Path | None) -> Measured | None:
+def height(config: str, folder: Path | None) -> Measured:
     """Return the mean curve of Thompson sampling at batch 25, less 1."""
     found = agents(config, folder, "thompson")
-    if found is None:
-        return None
     ends = {unit: int(BURN_IN + CLAIMED["thompson"] * unit) for unit in (500, 200)}
     above = {unit: mean_estimate(found[0].mean(end - BLOCK, end) - TARGET) for unit, end in ends.items()}
     beside = {"batches of 200 ticks": shifted(above[200].interval, TARGET)}
@@ -103,11 +100,9 @@ def beyond(curves: Curves) -> float:
     return float(batches(curves.ticks)[-1]) + 1
 
 
-def arrival(config: str, folder: Path | None) -> Measured | None:
+def arrival(config: str, folder: Path | None) -> Measured:
     """Return the median batch at which ε-greedy reaches 1, less the printed one."""
     found = agents(config, folder, "epsilon-greedy")
-    if found is None:
-        return None
     when, claimed = batches(found[0].crossings()), CLAIMED["epsilon-greedy"]
     least = np.minimum(when, beyond(found[0]))
     late = bootstrap_estimate(
@@ -117,11 +112,9 @@ def arrival(config: str, folder: Path | None) -> Measured | None:
     return Measured(late, shifted(late.interval, claimed), found[0].records, beside)
 
 
-def quicker(claimed: float, folder: Path | None) -> Measured | None:
+def quicker(claimed: float, folder: Path | None) -> Measured:
     """Return how many times as many batches ε-greedy needs as Thompson sampling at the median, less what is claimed."""
     found = agents("ours", folder, "thompson", "epsilon-greedy")
-    if found is None:
-        return None
     pair = paired(*found)
     fast, slow = (batches(curves.crossings()) for curves in pair)
     least_fast, least_slow = (np.minimum(when, beyond(x)) for when, x in zip((fast, slow), pair, strict=True))
@@ -131,16 +124,15 @@ def quicker(claimed: float, folder: Path | None) -> Measured | None:
     )  # fmt: skip
     beside = {}
     for words, config in (("one world", "as-demo"), ("dropout where the text has it", "as-written")):
-        if together := agents(config, folder, "thompson", "epsilon-greedy"):
-            beside[words] = advantage({c.agent: c for c in together}, "thompson", "epsilon-greedy")
+        together = load(config, folder)
+        if {"thompson", "epsilon-greedy"} <= together.keys():
+            beside[words] = advantage(together, "thompson", "epsilon-greedy")
     return Measured(difference, shifted(difference.interval, claimed), records_of(*found), beside)
 
 
-def gain(agent: str, folder: Path | None) -> Measured | None:
+def gain(agent: str, folder: Path | None) -> Measured:
     """Return the mean reward over batches 1000-2000 from the burn-in minus that over 600-1000."""
     found = agents("as-demo", folder, agent)
-    if found is None:
-        return None
 
     def later(unit: int) -> np.ndarray:
         start, middle, end = (BURN_IN + unit * count for count in (600, 1000, 2000))
@@ -155,20 +147,16 @@ def late_moves(found: Pair) -> tuple[np.ndarray, ...]:
     return tuple(curves.share("explored", BURN_IN + 1000 * BLOCK, end) for curves in paired(*found))
 
 
-def random_moves(folder: Path | None) -> Measured | None:
+def random_moves(folder: Path | None) -> Measured:
     """Return that share of Thompson sampling less that of ε-greedy."""
     found = agents("as-demo", folder, "thompson", "epsilon-greedy")
-    if found is None:
-        return None
     first, second = late_moves((found[0], found[1]))
     return on_average(first - second, records_of(*found))
 
 
-def only_exploits(folder: Path | None) -> Measured | None:
+def only_exploits(folder: Path | None) -> Measured:
     """Return whether ε-greedy takes no other move than its best after batch 1000."""
     found = agents("as-demo", folder, "thompson", "epsilon-greedy")
-    if found is None:
-        return None
     share = t_interval(late_moves((found[0], found[1]))[1])
     return Measured(audited(share.value == 0).difference, share, found[1].records)
 
@@ -182,39 +170,30 @@ def everywhere(_: Path | None) -> Measured:
 # ------------------------------------------------------------------ agents held against each other
 
 
-def reward(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured | None:
+def reward(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured:
     """Return the reward per move of one of our agents less that of another, paired by seed."""
     found = agents("ours", folder, first, second)
-    if found is None:
-        return None
     one, two = paired(*found)
-    return on_average(one.mean(*ticks) - two.mean(*ticks), records_of(*found))
+    return on_average(one.mean(*ticks) - two.mean(*ticks), records_of(one, two))
 
 
-def widths(quantity: Callable[[Curves], np.ndarray], first: str, second: str, folder: Path | None) -> Measured | None:
+def widths(quantity: Callable[[Curves], np.ndarray], first: str, second: str, folder: Path | None) -> Measured:
     """Return a quantity of one network less that of another (configs "narrow", "wide", "wide-dropout")."""
-    found = [agents(name, folder, "epsilon-greedy") for name in (first, second)]
-    if found[0] is None or found[1] is None:
-        return None
-    one, two = paired(found[0][0], found[1][0])
-    return on_average(quantity(one) - quantity(two), records_of(found[0][0], found[1][0]))
+    one, two = paired(*(agents(name, folder, "epsilon-greedy")[0] for name in (first, second)))
+    return on_average(quantity(one) - quantity(two), records_of(one, two))
 
 
-def contrast(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured | None:
+def contrast(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured:
     """Return the reward per move of one agent of the two-by-two family less that of another."""
-    found = [next(iter(load(f"two-by-two/{name}", folder).values()), None) for name in (first, second)]
-    if found[0] is None or found[1] is None:
-        return None
-    one, two = paired(found[0], found[1])
-    return on_average(one.mean(*ticks, "reward") - two.mean(*ticks, "reward"), records_of(found[0], found[1]))
+    found = (next(iter(load(f"two-by-two/{name}", folder).values()), None) for name in (first, second))
+    one, two = paired(*map(needed, found))
+    return on_average(one.mean(*ticks, "reward") - two.mean(*ticks, "reward"), records_of(one, two))
 
 
-def deeper(other: str, folder: Path | None) -> Measured | None:
+def deeper(other: str, folder: Path | None) -> Measured:
     """Return the share of seas of size 10 that a draw held for an episode solves, less that of another agent."""
     seas = dives.load(folder)
-    one, two = (seas.get((name, 10)) for name in ("dropout-per-episode", other))
-    if one is None or two is None:
-        return None
+    one, two = (needed(seas.get((name, 10))) for name in ("dropout-per-episode", other))
     difference = deep_sea.difference(one, two)
     return Measured(difference, difference.interval, [*one.records, *two.records])
 

@@ -26,7 +26,17 @@ from dropout_uncertainty.data_efficiency.report.statements import (
 )
 from dropout_uncertainty.data_efficiency.report.statements import dearer as of_configs
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, audit, audited, on_average, shifted
+from dropout_uncertainty.judging.statements import (
+    NEAR,
+    Measured,
+    NotRun,
+    Statement,
+    audit,
+    audited,
+    needed,
+    on_average,
+    shifted,
+)
 from dropout_uncertainty.stats import bootstrap_estimate
 
 __all__ = ["SENSITIVITY", "STATEMENTS"]
@@ -37,11 +47,9 @@ stated = partial(Statement, chapter=CHAPTER)
 MARGIN_EXPONENT = 0.25
 
 
-def dearer(first: str, second: str | None, folder: Path | None, *, sign: int = 1) -> Measured | None:
+def dearer(first: str, second: str | None, folder: Path | None, *, sign: int = 1) -> Measured:
     """Return the cost of learning of a variant less that of another, or of `OURS`; over the trials that both have."""
-    pair = compare(first, folder, second)
-    if pair is None:
-        return None
+    pair = needed(compare(first, folder, second))
     difference = cost_of_learning(pair.first) - cost_of_learning(pair.second)
     return on_average(sign * difference, pair.first.records + pair.second.records)
 
@@ -50,37 +58,36 @@ def dearer(first: str, second: str | None, folder: Path | None, *, sign: int = 1
 matching = partial(dearer, "matching-off", None, sign=-1)
 
 
-def seen(quantity: Callable[[Inside], np.ndarray], folder: Path | None, needs: str = "penalty") -> Measured | None:
+def seen(quantity: Callable[[Inside], np.ndarray], folder: Path | None, needs: str = "penalty") -> Measured:
     """Return what was seen inside the learner `OURS` while it learned, if the records hold the array that it needs."""
-    found = inside(folder)
-    return on_average(quantity(found), found.records) if found and needs in found.arrays else None
+    found = needed(inside(folder))
+    needed(found.arrays.get(needs))
+    return on_average(quantity(found), found.records)
 
 
-def coverage(folder: Path | None) -> Measured | None:
+def coverage(folder: Path | None) -> Measured:
     """Return the share of true states within two standard deviations of PILCO's prediction, less the normal one."""
-    pilco, found = analysis.load("pilco-paper", folder), inside(folder)
-    if pilco is None or found is None:
-        return None
+    pilco, found = needed(analysis.load("pilco-paper", folder)), needed(inside(folder))
     return on_average(coverage_of_pilco(pilco, found.measured), pilco.records, NOMINAL)
 
 
-def exponent(method: str, axis: str, claimed: float, folder: Path | None) -> Measured | None:
+def exponent(method: str, axis: str, claimed: float, folder: Path | None) -> Measured:
     """Return the exponent of the time per trial in a size, less the claimed one."""
-    taken = times(folder)
-    return on_average(taken.exponents(method, axis), taken.records, claimed) if taken else None
+    taken = needed(times(folder))
+    return on_average(taken.exponents(method, axis), taken.records, claimed)
 
 
-def longer(claimed: float, folder: Path | None) -> Measured | None:
+def longer(claimed: float, folder: Path | None) -> Measured:
     """Return how many times as long 40 trials of PILCO take as those of Deep PILCO, less what is claimed.
 
     Of repetitions computed by themselves, all on one kind of processor: the thesis's hours are of one, and side by side
-    a repetition takes less. None unless both have some.
+    a repetition takes less. Raises NotRun unless both have some.
     """
     learners = [analysis.load(name, folder) for name in ("pilco-paper-40", "deep-pilco-ours")]
     alone = [[r for r in x.records if r.header["device"] == "cpu" and len(r.seeds) == 1] if x else [] for x in learners]
     processors = {record.header["provenance"]["processor"] for found in alone for record in found}
     if not all(alone) or len(processors) > 1:
-        return None
+        raise NotRun
     pilco, deep = (np.array([analysis.cpu_seconds(record, 40) for record in found]) for found in alone)
     difference = bootstrap_estimate(lambda i, j: pilco[i].mean(-1) / deep[j].mean(-1) - claimed, len(pilco), len(deep))
     return Measured(difference, shifted(difference.interval, claimed), [*alone[0], *alone[1]])
