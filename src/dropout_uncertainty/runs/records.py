@@ -353,16 +353,12 @@ def find(
     """
     folder = folders.existing(folder or root(), folders.RECORDS, "records")
     found = [_kept(path, folder) for path in _files(folder / experiment / (name or ""))]
-    if name is not None:
-        found = [record for record in found if record.header["name"] == name]
-    if config is not None:
-        found = [record for record in found if record.header["config_hash"] == config_hash(config)]
+    hashed = None if config is None else config_hash(config)
+    asked = {"name": name, "config_hash": hashed, "precision": precision, "device": device}
+    wanted = {key: value for key, value in asked.items() if value is not None}
+    found = [record for record in found if all(record.header[key] == value for key, value in wanted.items())]
     if precision is None:
         found = [record for record in found if record.published_precision]
-    else:
-        found = [record for record in found if record.header["precision"] == precision]
-    if device is not None:
-        found = [record for record in found if record.header["device"] == device]
     if published is not None:
         found = [record for record in found if (max(record.seeds) < DEVELOPMENT) == published]
     counted = _counted(found)
