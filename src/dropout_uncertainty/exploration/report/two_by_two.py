@@ -112,14 +112,15 @@ def obtain(profile: str) -> Cells:
 
 
 def differences(cells: Mapping[str, Curves], contrast: Contrast) -> Float[np.ndarray, " R"]:
-    """Return the contrast for each seed that all of its agents have.
+    """Return the contrast for each seed that all of its agents have, in order of the seeds.
 
     Raises:
         KeyError: if an agent is missing.
     """
     agents = analysis.paired(*(cells[name] for name in contrast.weights))
     weighted = zip(contrast.weights.values(), agents, strict=True)
-    return np.sum([weight * curves.mean(*contrast.ticks, "reward") for weight, curves in weighted], axis=0)
+    found = np.sum([weight * curves.mean(*contrast.ticks, "reward") for weight, curves in weighted], axis=0)
+    return found[np.argsort(agents[0].seeds)]
 
 
 def interval(cells: Mapping[str, Curves], contrast: Contrast) -> Interval | None:

@@ -105,7 +105,7 @@ def splitting(
     axes[1].legend()
 
 
-def whisker(ax: Axes, row: float, interval: Interval, colour: str, label: str | None = None) -> None:
+def whisker(ax: Axes, row: float | int, interval: Interval, colour: str, label: str | None = None) -> None:
     """Draw an interval on a row of a forest plot."""
     ax.plot([interval.low, interval.high], [row, row], color=colour, linewidth=1.6)
     ax.plot(interval.value, row, "o", color=colour, markersize=5, label=label)
