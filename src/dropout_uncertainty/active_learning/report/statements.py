@@ -40,8 +40,8 @@ from dropout_uncertainty.stats import Interval, Statistic, bootstrap_estimate, f
 __all__ = ["STATEMENTS", "ranges"]
 
 TABLES, POOLS = "5_2_active_learning", "5_2_when_draws_help"
-#: Margins in points of test error: over 100-400 acquired points, at the end, and in the pools over 100-300.
-MARGIN, MARGIN_END, MARGIN_POOLS = 0.5, 0.25, 1.0
+#: Margins in points of test error: over 100-400 acquired points, and at the end.
+MARGIN, MARGIN_END = 0.5, 0.25
 #: Acquired points over which a curve that has converged is flat.
 LAST = (880, 980)
 #: Cells of the tables in the order of their statements, and the scores that both kinds of networks can be given.
@@ -139,13 +139,12 @@ def compared(
     return stated(identifier, text, where, kind, margin, measure, unit="points", primary=primary)
 
 
-def in_pool(
-    identifier: str, text: str, where: str, kind: Kind, pool: str, first: str, second: str, *, primary: bool = False
-) -> Statement:
+def in_pool(name: str, text: str, where: str, *, primary: bool = False) -> Statement:
     """Return a statement about two rows on one of the pools of "When do weight draws help?"."""
+    pool, first, second = pools.CONTRASTS[name]
     measure = partial(curves, first, second, pools.RANGE, family=f"pools/{pool}")
     return stated(
-        identifier, text, where, kind, MARGIN_POOLS, measure, unit="points", primary=primary,
+        name, text, where, pools.side_of(name), pools.MARGIN, measure, unit="points", primary=primary,
         would_test=f"20 runs of both rows on the {pool} pool", chapter=POOLS,
     )  # fmt: skip
 
@@ -222,7 +221,7 @@ STATEMENTS: list[Statement] = [
     ),
     in_pool(
         "AL3e", "The entropy over weight draws chooses better labels than the entropy of one pass of the network.",
-        WORDS, "less", "clean", DRAW, PASS, primary=True,
+        WORDS, primary=True,
     ),
     compared("AL3f", "The same in the rows of the tables, at the end.", WORDS, "less", DRAW, PASS, END),
     compared("AL3g", "The same in the rows of the tables, early.", WORDS, "less", DRAW, PASS),
@@ -272,18 +271,13 @@ STATEMENTS: list[Statement] = [
         for letter, name in zip("abcd", ("random", *(f"dropout/{score}" for score in SCORES)), strict=True)
     ),
     in_pool("AL11", "Where images are ambiguous, weight draws choose better labels: BALD against the entropy of one "
-            "pass.", WORDS, "less", "ambiguous", "dropout/bald", PASS, primary=True),
+            "pass.", WORDS, primary=True),
     *(
-        in_pool(f"AL11{letter}", f"{LABELS[first]} errs less than {LABELS[second]} on the {pool} pool.", WORDS, "less",
-                pool, first, second)
-        for letter, (pool, first, second) in zip(
-            "bcdefghijklmnop",
-            (c for c in pools.CONTRASTS[1:] if c[1] != "dropout/mean-std" and c != ("clean", DRAW, PASS)),
-            strict=False,
-        )
+        in_pool(name, f"{LABELS[first]} errs less than {LABELS[second]} on the {pool} pool.", WORDS)
+        for name, (pool, first, second) in sorted(pools.CONTRASTS.items())
+        if name.startswith("AL11") and name != "AL11"
     ),
-    in_pool("AL12", "Mean STD is not the best summary: worse than BALD on the ambiguous pool.", "Footnote 1", "more",
-            "ambiguous", "dropout/mean-std", "dropout/bald"),
+    in_pool("AL12", "Mean STD is not the best summary: worse than BALD on the ambiguous pool.", "Footnote 1"),
     *(
         compared(f"AL12{letter}", f"Mean STD is worse than {SCORES[score]} in the rows of the tables.", "Footnote 1",
                  "more", "dropout/mean-std", f"dropout/{score}")
