@@ -76,16 +76,29 @@ def test_a_statistic_that_mixes_resamples_is_refused():
 
 
 def test_an_interval_in_words_has_the_limits_that_there_are():
-    assert stats.in_words(stats.t_interval([1.0, 2.0, 3.0])) == "2.00 [-0.48, 4.48]"
-    assert stats.in_words(stats.mean_estimate([1.0, 2.0, 3.0]), ".1f") == "2.0 [-0.5, 4.5]"
-    assert stats.in_words(stats.mean_estimate([-10.5]), ".1f") == "-10.5"
-    assert stats.in_words(stats.t_interval([-0.001, -0.001]), "z.2f") == "0.00 [0.00, 0.00]"
+    assert stats.in_words(stats.t_interval([1.0, 2.0, 3.0])) == "2.00 [−0.48, 4.48]"
+    assert stats.in_words(stats.mean_estimate([1.0, 2.0, 3.0]), ".1f") == "2.0 [−0.5, 4.5]"
+    assert stats.in_words(stats.mean_estimate([-10.5]), ".1f") == "−10.5"
+    assert stats.in_words(stats.t_interval([-0.001, -0.001]), ".2f") == "0.00 [0.00, 0.00]"
+
+
+def test_what_runs_do_not_reach_is_said():
+    assert stats.in_words(stats.median_interval(np.array([9.0, 10.0, np.inf] * 3)), ".0f") == "10 [9, not reached]"
+    assert stats.in_words(stats.Interval(np.inf, 30.0, np.inf, 5), ".0f", unbounded="> 98") == "> 98 [30, > 98]"
+    assert stats.in_words(stats.Interval(np.inf, np.inf, np.inf, 5)) == "not reached"
+    assert stats.in_digits(-0.0004, "+.3f") == "+0.000"
+    assert stats.in_digits(-np.inf, unbounded="…") == "…"
 
 
 def test_paired_samples_must_pair_up():
     with pytest.raises(ValueError, match="one value per seed"):
         stats.paired_difference([1.0, 2.0], [1.0, 2.0, 3.0])
     assert stats.paired_difference([2.0, 3.0, 5.0], [1.0, 2.0, 4.0]).value == 1
+
+
+def test_seeds_that_all_samples_have():
+    assert stats.common((3, 1, 2), [2, 3]) == [[0, 2], [1, 0]]
+    assert stats.common([0, 1], [2]) == [[], []]
 
 
 def test_estimates_by_hand():
@@ -96,12 +109,6 @@ def test_estimates_by_hand():
     assert found.p == pytest.approx(reference.pvalue)
     assert (found.low, found.high) == pytest.approx(tuple(reference.confidence_interval(0.95)))
     assert (found.low90, found.high90) == pytest.approx(tuple(reference.confidence_interval(0.90)))
-    other = [0.0, 0.5, 9.0]
-    reference = scipy_stats.ttest_ind(values, other, equal_var=False)
-    found = stats.difference_of_means(values, other)
-    assert found.p == pytest.approx(reference.pvalue)
-    assert (found.low, found.high) == pytest.approx(tuple(reference.confidence_interval(0.95)))
-    assert found.n == 3
     assert np.isnan(stats.mean_estimate([1.0]).low)
     assert stats.mean_estimate([2.0] * 5).low == 2.0, "no spread, no width"
 

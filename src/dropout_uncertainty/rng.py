@@ -17,7 +17,7 @@ from typing import SupportsIndex
 import torch
 from torch import Generator, Tensor
 
-__all__ = ["check_seeds", "derived", "generator", "stacked"]
+__all__ = ["check_seeds", "derived", "generator", "stacked", "uniform"]
 
 
 def generator(seed: SupportsIndex, *path: str | SupportsIndex, device: str | torch.device = "cpu") -> Generator:
@@ -71,3 +71,8 @@ def stacked(
     A replica gets the same numbers alone as among others, because each seed has streams of its own.
     """
     return torch.stack([draw(generator(seed, *path, device=device)) for seed in seeds])
+
+
+def uniform(seeds: Iterable[int], shape: tuple[int, ...], *path: str | int) -> Tensor:
+    """Return uniform numbers in [0, 1) of the streams of each replica, [R, *shape] in float64."""
+    return stacked(lambda g: torch.rand(shape, dtype=torch.float64, generator=g), seeds, *path)

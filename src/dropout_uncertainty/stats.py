@@ -13,9 +13,10 @@ from scipy import ndimage
 from scipy import stats as scipy_stats
 
 __all__ = [
-    "CONFIDENCE", "Estimate", "Interval", "Statistic", "bootstrap_estimate", "bootstrap_interval", "crossing_interval",
-    "difference_of_means", "difference_of_shares", "first_crossings", "in_words", "mean_estimate", "median_filter",
-    "median_interval", "paired_difference", "share_estimate", "smaller_median", "t_interval",
+    "CONFIDENCE", "Estimate", "Interval", "Statistic", "bootstrap_estimate", "bootstrap_interval", "common",
+    "crossing_interval", "difference_of_shares", "first_crossings", "in_digits", "in_words", "mean_estimate",
+    "median_filter", "median_interval", "paired_difference", "share_estimate", "share_interval", "smaller_median",
+    "t_interval",
 ]  # fmt: skip
 
 CONFIDENCE = 0.95
@@ -56,10 +57,20 @@ class Estimate(NamedTuple):
         return Interval(self.value, self.low, self.high, self.n)
 
 
-def in_words(found: Interval | Estimate, spec: str = ".2f") -> str:
-    """Return an interval such as "0.35 [0.21, 0.49]", its numbers by a format; without limits if there are none."""
-    limits = "" if math.isnan(found.low) else f" [{found.low:{spec}}, {found.high:{spec}}]"
-    return f"{found.value:{spec}}{limits}"
+def in_digits(value: float, spec: str = ".2f", unbounded: str = "not reached") -> str:
+    """Return a number by a format, with a minus sign and never a negative 0; ``unbounded`` stands for infinity."""
+    if math.isinf(value):
+        return unbounded
+    return f"{value:{spec.replace('.', 'z.', 1)}}".replace("-", "−")
+
+
+def in_words(found: Interval | Estimate, spec: str = ".2f", unbounded: str = "not reached") -> str:
+    """Return an interval such as "0.35 [0.21, 0.49]", its numbers as ``in_digits`` writes them.
+
+    Limits are left out where there are none, or where both are infinite.
+    """
+    value, low, high = (in_digits(number, spec, unbounded) for number in found[:3])
+    return f"{value} [{low}, {high}]" if math.isfinite(found.low) else value
 
 
 def _unknown(value: float, n: int) -> Estimate:
@@ -79,18 +90,6 @@ def mean_estimate(values: Sequence[float] | np.ndarray) -> Estimate:
     if n < 2:
         return _unknown(float(values.mean()) if n else np.nan, n)
     return _student(float(values.mean()), float(scipy_stats.sem(values)), n - 1, n)
-
-
-def difference_of_means(first: Sequence[float] | np.ndarray, second: Sequence[float] | np.ndarray) -> Estimate:
-    """Return mean(first) - mean(second) of two independent samples that may vary differently (Welch, 1947)."""
-    first, second = np.asarray(first, float), np.asarray(second, float)
-    n = min(len(first), len(second))
-    if n < 2:
-        return _unknown(float(first.mean() - second.mean()) if n else np.nan, n)
-    squares = np.array([scipy_stats.sem(sample) ** 2 for sample in (first, second)])
-    value, error = float(first.mean() - second.mean()), float(squares.sum() ** 0.5)
-    parts = squares**2 / (np.array([len(first), len(second)]) - 1)
-    return _student(value, error, float(squares.sum() ** 2 / parts.sum()) if error > 0 else 1.0, n)
 
 
 def share_estimate(flags: Sequence[bool] | np.ndarray, claimed: float) -> Estimate:
@@ -190,6 +189,22 @@ def t_interval(values: Sequence[float] | np.ndarray) -> Interval:
         return Interval(float(values.mean()) if n else np.nan, np.nan, np.nan, n)
     half = scipy_stats.sem(values) * scipy_stats.t.ppf((1 + CONFIDENCE) / 2, n - 1)
     return Interval(float(values.mean()), float(values.mean() - half), float(values.mean() + half), n)
+
+
+def share_interval(flags: Sequence[bool] | np.ndarray) -> Interval:
+    """Return the share of true flags with Wilson's interval, which stays within [0, 1] and is not empty at its ends."""
+    flags = np.asarray(flags, bool)
+    n = len(flags)
+    if n == 0:
+        return Interval(np.nan, np.nan, np.nan, 0)
+    limits = scipy_stats.binomtest(int(flags.sum()), n).proportion_ci(CONFIDENCE, method="wilson")
+    return Interval(float(flags.mean()), float(limits.low), float(limits.high), n)
+
+
+def common(*seeds: Sequence[int]) -> list[list[int]]:
+    """Return for each sample the places of the seeds that all of them have, in the order of the first."""
+    shared = [seed for seed in seeds[0] if all(seed in own for own in seeds)]
+    return [[own.index(seed) for seed in shared] for own in seeds]
 
 
 def paired_difference(first: Sequence[float] | np.ndarray, second: Sequence[float] | np.ndarray) -> Interval:

@@ -41,7 +41,7 @@ def test_what_has_not_been_run_is_said_and_not_judged(found):
 
 
 def test_every_comparison_is_of_rows_that_are_run():
-    for kind, *names in [*pools.CONTRASTS, *((s[0], s[1], s[2]) for s in pools.STATEMENTS.values())]:
+    for kind, *names in pools.CONTRASTS.values():
         assert all(f"pools/{kind}/{name}" in CONFIGS for name in names)
 
 

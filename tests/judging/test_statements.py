@@ -4,14 +4,14 @@ import math
 
 import pytest
 
-from dropout_uncertainty.judging.statements import Measured, Statement, judge
+from dropout_uncertainty.judging.statements import Measured, Statement, judge, nothing
 from dropout_uncertainty.stats import Estimate, Interval
 
 
 def statement(name, kind, p=0.02, value=-2.0, **more):
     difference = Estimate(value, value - 1.0, value + 1.0, value - 0.8, value + 0.8, p, 20)
     measured = Measured(difference, Interval(value, value - 1.0, value + 1.0, 20), [])
-    return Statement(name, "", "", kind, 0.5, "chapter", lambda _: measured, **more)
+    return Statement(name, "", "", kind, 0.5, lambda _: measured, chapter="chapter", **more)
 
 
 def test_a_statement_is_judged_by_its_kind():
@@ -44,7 +44,7 @@ def test_what_is_never_reached_has_a_verdict_and_a_reason():
         ("value", censored(-3.0, value=1.0), "imprecise", "no upper limit"),
     ]
     for kind, measured, verdict, reason in cases:
-        (judged,) = judge([Statement("DE2c", "", "", kind, 0.5, "chapter", lambda _, m=measured: m)])
+        (judged,) = judge([Statement("DE2c", "", "", kind, 0.5, lambda _, m=measured: m, chapter="chapter")])
         assert (judged.verdict, reason in judged.why) == (verdict, True), kind
 
 
@@ -60,7 +60,7 @@ def test_primary_statements_pay_for_each_other_and_secondary_ones_do_not():
 
 
 def test_without_records_a_statement_is_untested_and_still_counts_in_its_family():
-    missing = Statement("x", "", "", "less", 0.5, "chapter", lambda _: None, primary=True, would_test="not run yet")
+    missing = Statement("x", "", "", "less", 0.5, nothing, chapter="chapter", primary=True, would_test="not run yet")
     judged = judge([missing, statement("a", "less", 0.03, primary=True)])
     assert judged[0].verdict == "untested"
     assert math.isnan(judged[0].p)

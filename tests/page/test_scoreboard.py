@@ -29,8 +29,8 @@ def judged(*verdicts, found=(), where="Table 5.1", prefix="AL", n=10, **more):
         difference = Estimate((low + high) / 2, low, high, low, high, 0.04, 3 if verdict == "untested" else n)
         measured = Measured(difference, difference.interval, found, {"last point": difference.interval})
         statements.append(
-            Statement(f"{prefix}{place}", "A is more than B.", where, "more", 0.5, "5_2_active_learning",
-                      lambda _, m=measured: m, unit="points", **more)
+            Statement(f"{prefix}{place}", "A is more than B.", where, "more", 0.5, lambda _, m=measured: m,
+                      unit="points", chapter="5_2_active_learning", **more)
         )  # fmt: skip
     return judge(statements)
 

@@ -8,6 +8,7 @@ killed continues from the list of acquired points alone and ends with the same a
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from dropout_uncertainty.active_learning.pools import Pool, split
 from dropout_uncertainty.bayes import check_probability
 from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import Unit, precision_dtype
+from dropout_uncertainty.runs.unit import precision_dtype
 from dropout_uncertainty.settings import idle, of_type, tidy
 
 __all__ = ["CONFIGS", "EXPERIMENT", "ROWS", "ActiveLearning", "CNNLearner", "Config", "start", "units"]
@@ -348,7 +349,13 @@ class ActiveLearning:
     """One row of the tables for R seeds, as a resumable process: step r trains on 20 + 10 r labels and acquires."""
 
     def __init__(
-        self, config: Config, seeds: Sequence[int], *, device: str, precision: str, data: mnist.Mnist | None = None
+        self,
+        config: Config,
+        seeds: Sequence[int],
+        *,
+        device: str = "cpu",
+        precision: str = "bfloat16",
+        data: mnist.Mnist | None = None,
     ) -> None:
         self.config, self.seeds = of_type(Config, config, "config"), rng.check_seeds(seeds)
         self.tasks = [task_of(config, seed, data or mnist.load()) for seed in self.seeds]
@@ -461,9 +468,8 @@ def task_of(config: Config, seed: int, data: mnist.Mnist) -> Task:
     return make_task(config.pool_kind, data, parts, seed, ambiguous=config.ambiguous)
 
 
-def start(config: Config, seeds: Sequence[int], *, device: str = "cpu", precision: str = "bfloat16") -> ActiveLearning:
-    """Return the process of one unit, at its first step."""
-    return ActiveLearning(config, seeds, device=device, precision=precision)
+#: Makes the process of one unit.
+start = ActiveLearning
 
 
 def memory(config: Config) -> float:
@@ -498,8 +504,5 @@ SWEEPS = (
 )
 
 
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units(SWEEPS, name, seeds, device, precision)
+#: The units of a named config.
+units = partial(sweep.units, SWEEPS)

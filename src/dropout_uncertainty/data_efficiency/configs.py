@@ -1,6 +1,6 @@
 """All configs of section 5.4 by name, and their units: what the command line knows."""
 
-from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from dropout_uncertainty.data_efficiency.ablations import doubt, gradients, literal, mchutchon, shrinking, variants
@@ -8,7 +8,6 @@ from dropout_uncertainty.data_efficiency.deep_pilco import learner as deep_pilco
 from dropout_uncertainty.data_efficiency.model_free import learner as model_free
 from dropout_uncertainty.data_efficiency.pilco import learner as pilco
 from dropout_uncertainty.runs import sweep
-from dropout_uncertainty.runs.unit import Unit
 
 __all__ = ["CONFIGS", "units"]
 
@@ -17,8 +16,5 @@ SWEEPS = tuple(sweep for module in MODULES for sweep in module.SWEEPS)
 CONFIGS: dict[str, Any] = {name: config for sweep in SWEEPS for name, config in sweep.configs.items()}
 
 
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units(SWEEPS, name, seeds, device, precision)
+#: The units of a named config.
+units = partial(sweep.units, SWEEPS)

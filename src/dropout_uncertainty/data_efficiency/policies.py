@@ -19,7 +19,7 @@ from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import (
     nan_cholesky,
     squared_exponential,
 )
-from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole, features
+from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole, features
 
 # The original policy is the posterior mean of a Gaussian process whose signal and noise standard
 # deviations are fixed to 1 and this (pilco-matlab, control/congp.m); only their ratio matters for the
@@ -75,6 +75,24 @@ class RBFPolicy:
     def moments(self, x: Gaussian) -> Moments:
         """Return the moments of the preliminary output for a Gaussian input."""
         return _jittered(self.functions.moments(x))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the parameters of N basis functions over D features stand in one vector: scales, centres, one number each."""
+
+    basis: int
+    dim: int = len(FEATURE_NAMES)
+
+    @property
+    def size(self) -> int:
+        """The length of the vector."""
+        return self.dim + self.basis * (self.dim + 1)
+
+    def split(self, parameters: Float[Tensor, "R P"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Return length-scales [R, 1, D], centres [R, N, D] and the last numbers [R, 1, N]."""
+        scales, centres, numbers = parameters.split((self.dim, self.basis * self.dim, self.basis), -1)
+        return scales[:, None], centres.reshape(-1, self.basis, self.dim), numbers[:, None]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from torch import Tensor
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import Masks
 from dropout_uncertainty.exploration.foraging import world
-from dropout_uncertainty.exploration.policies import Chance, Policy
+from dropout_uncertainty.exploration.policies import Chance, Policy, gumbel
 from dropout_uncertainty.exploration.q_network import MaskStream, QNetwork, td_error
 from dropout_uncertainty.exploration.replay import ReplayMemory
 
@@ -114,14 +114,10 @@ class Agent:
                 "acting", chunk // max(1, self.hold // CHUNK), dtype=self.dtype, device=self.device,
             )  # fmt: skip
         policy = self._uniform("policy", chunk, 2 + C)
-        with np.errstate(divide="ignore"):
-            self.chance = policy[..., 0], policy[..., 1], -np.log(-np.log(policy[..., 2:]))
+        self.chance = policy[..., 0], policy[..., 1], gumbel(policy[..., 2:])
 
     def _uniform(self, name: str, chunk: int, count: int) -> Float[np.ndarray, "T R count"]:
-        def draw(g: torch.Generator) -> Tensor:
-            return torch.rand(CHUNK, count, dtype=torch.float64, generator=g)
-
-        return rng.stacked(draw, self.seeds, name, self.index, chunk).transpose(0, 1).numpy()
+        return rng.uniform(self.seeds, (CHUNK, count), name, self.index, chunk).transpose(0, 1).numpy()
 
     def act(self, inputs: Float[np.ndarray, "R 27"], tick: int) -> tuple[Int[np.ndarray, " R"], NDArray]:
         """Take in what the eyes sense at ``tick``, learn, and return the actions and which of them explore.

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.exploration.foraging.world import World
 from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import Unit, precision_dtype
+from dropout_uncertainty.runs.unit import precision_dtype
 from dropout_uncertainty.settings import of_type
 
 __all__ = [
@@ -123,9 +124,7 @@ class Foraging:
             raise UserError(f"the agents of section 5.3 compute in float32 or float64, not in {precision!r}")
         self.config, self.seeds = of_type(Config, config, "config"), rng.check_seeds(seeds)
         self.total, self.done = config.ticks // BLOCK, 0
-        layout = rng.stacked(lambda g: torch.rand(world.ITEMS, 3, dtype=torch.float64, generator=g),
-                             self.seeds, "environment", "start")  # fmt: skip
-        self.world = World(layout.numpy(), len(config.agents), config.rules)
+        self.world = World(world.start_numbers(self.seeds), len(config.agents), config.rules)
         self.agents = [self._agent(index, precision_dtype(precision), device) for index in range(len(config.agents))]
         shape = (len(self.seeds), len(self.agents), self.total)
         self.log = {name: np.full(shape, np.nan) for name in self.LOG}
@@ -161,7 +160,7 @@ class Foraging:
     def _chunk(self, sums: dict[str, np.ndarray]) -> None:
         """Run the ticks for which random numbers are drawn at once, and add up what happens."""
         chunk = self.world.clock // CHUNK
-        ageing, spawning = self._environment(chunk)
+        ageing, spawning = world.coming_numbers(self.seeds, chunk, CHUNK)
         every = self.config.held_out_every
         for agent in self.agents:
             agent.prepare(chunk, holding_out=every > 0 and self.done % every == every - 1)
@@ -181,15 +180,6 @@ class Foraging:
                 ("explored", explores),
             ):  # fmt: skip
                 sums[name] += value
-
-    def _environment(self, chunk: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the uniform numbers of ageing [R, 30], due at the end of the chunk, and of new items [R, 10, 4]."""
-        spawns = CHUNK // world.SPAWN_PERIOD
-        uniform = rng.stacked(
-            lambda g: torch.rand(world.ITEMS + 4 * spawns, dtype=torch.float64, generator=g),
-            self.seeds, "environment", chunk,
-        ).numpy()  # fmt: skip
-        return uniform[:, : world.ITEMS], uniform[:, world.ITEMS :].reshape(-1, spawns, 4)
 
     def state(self) -> dict[str, Any]:
         """Return everything needed to continue."""
@@ -234,9 +224,8 @@ class Foraging:
         return np.stack(kept, axis=1).astype(np.float32)
 
 
-def start(config: Config, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> Foraging:
-    """Return the process of one unit."""
-    return Foraging(config, seeds, device=device, precision=precision)
+#: Makes the process of one unit.
+start = Foraging
 
 
 def memory(config: Config) -> float:
@@ -251,8 +240,5 @@ SWEEP = Sweep(
 )
 
 
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units([SWEEP], name, seeds, device, precision)
+#: The units of a named config.
+units = partial(sweep.units, [SWEEP])

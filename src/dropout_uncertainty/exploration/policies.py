@@ -13,7 +13,8 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 __all__ = [
-    "POLICIES", "AnnealedThompson", "Boltzmann", "Chance", "EpsilonGreedy", "Greedy", "Policy", "Thompson", "policy",
+    "POLICIES", "AnnealedThompson", "Boltzmann", "Chance", "EpsilonGreedy", "Greedy", "Policy", "Thompson", "gumbel",
+    "policy",
 ]  # fmt: skip
 
 
@@ -23,6 +24,12 @@ class Chance(NamedTuple):
     whether: NDArray
     which: NDArray
     gumbel: NDArray
+
+
+def gumbel(uniform: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Return standard Gumbel noise from uniform numbers in [0, 1)."""
+    with np.errstate(divide="ignore"):
+        return -np.log(-np.log(uniform))
 
 
 @runtime_checkable

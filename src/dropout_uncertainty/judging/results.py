@@ -13,7 +13,7 @@ from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Interval
 
-__all__ = ["Result", "finite", "measured", "printed", "thesis_value"]
+__all__ = ["Result", "finite", "listed", "measured", "printed", "thesis_value"]
 
 
 @dataclass(frozen=True)
@@ -93,6 +93,17 @@ def measured(
         verdict=None,
         records=[record.label for record in found],
     )
+
+
+def listed(
+    name: str, rows: Iterable[tuple[str, Interval, str, str]], found: Iterable[Record], config: str
+) -> list[Result]:
+    """Return results called ``name/kind`` of the same records, from rows of kind, interval, unit and statistic."""
+    found = list(found)
+    return [
+        measured(f"{name}/{kind}", interval, found, unit=unit, statistic=statistic, config=config)
+        for kind, interval, unit, statistic in rows
+    ]
 
 
 def finite(value: float) -> float | None:

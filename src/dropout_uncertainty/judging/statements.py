@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -15,10 +15,11 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Estimate, Interval, mean_estimate
 
 __all__ = [
-    "KINDS", "NEAR", "Judged", "Kind", "Measured", "Statement", "StatementResult", "audited", "from_range", "judge",
-    "nothing", "on_average", "shifted",
+    "KINDS", "NEAR", "Judged", "Kind", "Measure", "Measured", "NotRun", "Statement", "StatementResult", "audit",
+    "audited", "from_range", "judge", "needed", "nothing", "on_average", "shifted",
 ]  # fmt: skip
 
+Found = TypeVar("Found")
 Kind = Literal["value", "less", "more", "equality", "audit"]
 
 #: What each kind of statement can come out as.
@@ -53,8 +54,24 @@ class Measured:
     beside: Mapping[str, Interval] = field(default_factory=dict)
 
 
-def nothing(folder: Path | None) -> None:
-    """Return what is known of a statement for which nothing has been run."""
+#: Computes what the records of a folder (None: the published ones) say; raises NotRun while there are none.
+Measure = Callable[[Path | None], Measured]
+
+
+class NotRun(LookupError):
+    """There are no records yet of what a statement is about."""
+
+
+def needed(found: Found | None) -> Found:
+    """Return what was found; raises NotRun if that is nothing."""
+    if found is None:
+        raise NotRun
+    return found
+
+
+def nothing(folder: Path | None) -> Measured:
+    """Raise NotRun: nothing has been run for this statement."""
+    raise NotRun
 
 
 def audited(holds: bool) -> Measured:
@@ -96,12 +113,12 @@ class Statement:
         kind: "value" (the thesis prints a number), "less" or "more" (A is below or above B), "equality", or "audit" (a
             fact about text, data or programs, no claim of the thesis).
         margin: the largest difference, in ``unit``, that does not matter; 0 for an audit.
-        chapter: the notebook that shows it.
-        measure: computes what the records of a folder (None: the published ones) say; None while there are none.
+        measure: see ``Measure``.
         unit: of margin, difference and values.
         thesis: the printed value.
         primary: whether it is one of the few that the chapter stands on, adjusted together.
-        would_test: why it is untested, and what would test it, where ``measure`` gives None.
+        would_test: why it is untested, and what would test it, where nothing has been run.
+        chapter: the notebook that shows it.
     """
 
     id: str
@@ -109,12 +126,12 @@ class Statement:
     where: str
     kind: Kind
     margin: float
-    chapter: str
-    measure: Callable[[Path | None], Measured | None] = field(repr=False)
+    measure: Measure = field(repr=False)
     unit: str = ""
     thesis: float | None = None
     primary: bool = False
     would_test: str = ""
+    chapter: str = field(kw_only=True)
 
     @property
     def least(self) -> int:
@@ -134,6 +151,11 @@ class Statement:
         if self.kind == "equality":
             return rules.equality(difference, self.margin)
         return rules.comparison(difference, self.kind, self.margin)
+
+
+def audit(identifier: str, text: str, where: str, measure: Measure, *, chapter: str) -> Statement:
+    """Return a statement about a fact, that is no claim of the thesis."""
+    return Statement(identifier, text, where, "audit", 0.0, measure, chapter=chapter)
 
 
 @dataclass(frozen=True)
@@ -224,9 +246,16 @@ class StatementResult(Result):
     why: str
 
 
+def _measured(statement: Statement, folder: Path | None) -> Measured | None:
+    try:
+        return statement.measure(folder)
+    except NotRun:
+        return None
+
+
 def judge(statements: Iterable[Statement], folder: Path | None = None) -> list[Judged]:
     """Return the statements of one section with the verdicts that the records of ``folder`` give them."""
-    found = [(statement, statement.measure(folder)) for statement in statements]
+    found = [(statement, _measured(statement, folder)) for statement in statements]
     plain = {s.id: s.verdict(m.difference) if m else "untested" for s, m in found}
     p = {s.id: m.difference.p if m and plain[s.id] != "untested" else math.nan for s, m in found if s.primary}
     adjusted = rules.holm(p)

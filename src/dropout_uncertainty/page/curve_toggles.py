@@ -12,15 +12,18 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-__all__ = ["Curves"]
+__all__ = ["CONTROLS", "Curves"]
 
+#: The look of a row of choices above what is chosen from.
+CONTROLS = """
+#{name} fieldset {{ border: 0; margin: 0 0 0.5rem; padding: 0; display: flex; flex-wrap: wrap; gap: 0 1.2rem; }}
+#{name} legend {{ font-size: inherit; margin: 0; }}
+#{name} label {{ display: inline-flex; align-items: center; gap: 0.4rem; min-height: 1.75rem; cursor: pointer; }}
+"""
 # Text stays text, in the font of the page; the picture keeps its white ground, as every picture of the book, and in
 # the dark the theme puts a light ground below all of it.
 SHEET = """
 #{name} {{ color-scheme: light; }}
-#{name} fieldset {{ border: 0; margin: 0 0 0.5rem; padding: 0; display: flex; flex-wrap: wrap; gap: 0 1.2rem; }}
-#{name} legend {{ font-size: inherit; margin: 0; }}
-#{name} label {{ display: inline-flex; align-items: center; gap: 0.4rem; min-height: 1.75rem; cursor: pointer; }}
 #{name} .swatch {{ width: 1.8rem; height: 0.9rem; background: white; border-radius: 2px; }}
 #{name} .picture {{ display: block; width: 100%; height: auto; background: white; }}
 #{name} .picture text {{ font-family: inherit !important; }}
@@ -86,7 +89,7 @@ class Curves:
             for number, (label, shown, artists) in enumerate(self._groups)
         )
         return (
-            f'<div id="{name}">\n<style>{SHEET.format(name=name)}{rules}</style>\n'
+            f'<div id="{name}">\n<style>{(CONTROLS + SHEET).format(name=name)}{rules}</style>\n'
             f"<fieldset>\n<legend>Choose the curves:</legend>\n{choices}\n</fieldset>\n{self._svg(name)}\n</div>"
         )
 

@@ -33,10 +33,11 @@ from dropout_uncertainty.exploration.report import animation
 from dropout_uncertainty.exploration.report.deep_sea import dives
 from dropout_uncertainty.judging.collect import SECTIONS, STATEMENTS, collect
 from dropout_uncertainty.judging.results import Result, thesis_value
-from dropout_uncertainty.judging.statements import KINDS, Judged, Statement, StatementResult, judge
+from dropout_uncertainty.judging.statements import KINDS, Judged, NotRun, Statement, StatementResult, judge, needed
 from dropout_uncertainty.page.plotting import COLOURS
+from dropout_uncertainty.page.tables import grid_of
 from dropout_uncertainty.runs.records import Record, root
-from dropout_uncertainty.stats import Interval, t_interval
+from dropout_uncertainty.stats import Interval, in_words, t_interval
 
 __all__ = ["FACTS", "PICTURES", "SAID", "USED", "facts", "numbers", "readme", "tally", "used", "write"]
 
@@ -75,9 +76,8 @@ def _ours(result: Result) -> str:
     """Return our value with its interval and unit; an end that was never reached is open, a single run has none."""
     if result.ours is None:
         return "–"
-    low, high = ("…" if end is None else f"{end:.2g}" for end in (result.low, result.high))
-    limits = "" if low == high == "…" else f" [{low}, {high}]"
-    return f"{result.ours:.2g}{limits} {result.unit}".replace("-", "−")
+    low, high = (math.inf if end is None else end for end in (result.low, result.high))
+    return f"{in_words(Interval(result.ours, low, high, len(result.seeds)), '.2g', unbounded='…')} {result.unit}"
 
 
 def tally(found: Iterable[Result] | None = None) -> str:
@@ -101,8 +101,7 @@ def readme(text: str, found: Iterable[Result] | None = None) -> str:
         raise UserError(f"the README must hold the lines {BEGIN!r} and {END!r}, between which the numbers are written")
     found = collect() if found is None else list(found)
     heads, rows = numbers(found, "notebooks/{}.ipynb")
-    grid = "\n".join("| " + " | ".join(row) + " |" for row in [heads, [":---"] * len(heads), *rows])
-    block = f"{BEGIN}\n{grid}\n\n{tally(found)}\n{END}"
+    block = f"{BEGIN}\n{grid_of([heads, *rows])}\n\n{tally(found)}\n{END}"
     return re.sub(re.escape(BEGIN) + ".*?" + re.escape(END), lambda _: block, text, flags=re.DOTALL)
 
 
@@ -113,7 +112,14 @@ EARLY, LATE = (3_000, 50_000), (90_500, 200_000)  # ticks
 
 def facts(folder: Path | None = None) -> dict[str, str]:
     """Return the numbers in the sentences of the first page, by the names that it uses; a dash without records."""
-    return {name: fact(folder) or "–" for name, fact in FACTS.items()} | used(folder)
+    return {name: _told(fact, folder) for name, fact in FACTS.items()} | used(folder)
+
+
+def _told(fact: Callable[[Path | None], str], folder: Path | None) -> str:
+    try:
+        return fact(folder)
+    except NotRun:
+        return "–"
 
 
 def used(folder: Path | None = None) -> dict[str, str]:
@@ -131,26 +137,26 @@ def _used(judged: Judged) -> str:
     return judged.verdict if judged.statement.kind == "audit" else f"{judged.verdict}, {_ours(judged.result())}"
 
 
-def _tied(folder: Path | None) -> str | None:
-    rows = active_learning.load_rows("ours", folder)
-    names = ("softmax/bald", "softmax/variation-ratios")
-    if not set(names) <= rows.keys():
-        return None
-    return f"{min(active_learning.share_tied(rows[name]) for name in names):.0%}"
+def _rows(family: str, folder: Path | None, *names: str) -> list[active_learning.Row]:
+    rows = active_learning.load_rows(family, folder)
+    return [needed(rows.get(name)) for name in names]
 
 
-def _entropy(acquired: tuple[int, int], folder: Path | None) -> str | None:
+def _tied(folder: Path | None) -> str:
+    rows = _rows("ours", folder, "softmax/bald", "softmax/variation-ratios")
+    return f"{min(map(active_learning.share_tied, rows)):.0%}"
+
+
+def _entropy(acquired: tuple[int, int], folder: Path | None) -> str:
     """Return the test error, in points, of acquiring by the entropy over weight draws minus by that of one pass."""
-    rows = active_learning.load_rows("ours", folder)
-    draws, single = rows.get("dropout/max-entropy"), rows.get("softmax/max-entropy")
-    return None if draws is None or single is None else _words(active_learning.paired_error(draws, single, *acquired))
+    draws, single = _rows("ours", folder, "dropout/max-entropy", "softmax/max-entropy")
+    return in_words(active_learning.paired_error(draws, single, *acquired))
 
 
-def _entropy_steps(config: str, folder: Path | None) -> str | None:
-    """Return how many acquisitions a row chosen by an entropy needs to 5 % test error; ``config`` is "family/row"."""
-    family, name = config.split("/", 1)
-    row = active_learning.load_rows(family, folder).get(name)
-    return None if row is None else _words(row.crossing(), 0)
+def _entropy_steps(family: str, name: str, folder: Path | None) -> str:
+    """Return how many acquisitions a row chosen by an entropy needs to 5 % test error."""
+    (row,) = _rows(family, folder, name)
+    return in_words(row.crossing(), ".0f")
 
 
 def _printed_cells(statistic: str) -> str:
@@ -162,70 +168,62 @@ def _printed_cells(statistic: str) -> str:
     return f"{sum(same)} of {len(same)}"
 
 
-def _greedy(ticks: tuple[int, int], folder: Path | None) -> str | None:
+def _greedy(ticks: tuple[int, int], folder: Path | None) -> str:
     """Return by how much the agent without exploration earns more than Thompson sampling per tick."""
     agents = exploration.load("ours", folder)
-    if not {"greedy", "thompson"} <= agents.keys():
-        return None
-    return _words(exploration.compare(agents["greedy"], agents["thompson"], *ticks))
+    greedy, thompson = (needed(agents.get(name)) for name in ("greedy", "thompson"))
+    return in_words(exploration.compare(greedy, thompson, *ticks))
 
 
-def _thompson(config: str, folder: Path | None, ticks: tuple[int, int], what: str | None = None) -> str | None:
+def _thompson(config: str, folder: Path | None, ticks: tuple[int, int], what: str | None = None) -> str:
     """Return the mean reward per tick of a Thompson agent, or the share of its moves that are ``what``."""
-    curves = exploration.load(config, folder).get("thompson")
-    if curves is None:
-        return None
+    curves = needed(exploration.load(config, folder).get("thompson"))
     return f"{curves.mean(*ticks).mean():.2f}" if what is None else f"{curves.share(what, *ticks).mean():.0%}"
 
 
-def _sea(agent: str, folder: Path | None) -> str | None:
+def _sea(agent: str, folder: Path | None) -> str:
     """Return how many seas of size 10 an agent solves within the episodes that statement EX9 counts."""
-    found = dives.load(folder).get((agent, 10))
-    return None if found is None else f"{found.within().sum()} of {len(found.seeds)}"
+    found = needed(dives.load(folder).get((agent, 10)))
+    return f"{found.within().sum()} of {len(found.seeds)}"
 
 
-def _solved(config: str, trial: int, folder: Path | None) -> str | None:
-    learning = data_efficiency.load(config, folder)
-    if learning is None or learning.trials < trial:
-        return None
-    share = learning.solved_by(trial)
-    return f"{share.value * share.n:.0f} of {share.n}"
+def _solved(config: str, trial: int, folder: Path | None) -> str:
+    learning = needed(data_efficiency.load(config, folder))
+    if learning.trials < trial:
+        raise NotRun
+    return f"{(learning.first_solved <= trial).sum()} of {len(learning.seeds)}"
 
 
-def _solved_later(config: str, folder: Path | None) -> str | None:
+def _solved_later(config: str, folder: Path | None) -> str:
     """Return the share of solved trials among those after the first solved one of a repetition."""
-    learning = data_efficiency.load(config, folder)
-    return None if learning is None else f"{learning.solved[learning.later].mean():.0%}"
+    learning = needed(data_efficiency.load(config, folder))
+    return f"{learning.solved[learning.later].mean():.0%}"
 
 
-def _held(kind: str, folder: Path | None) -> str | None:
+def _held(kind: str, folder: Path | None) -> str:
     """Return how many times as wide Deep PILCO's prediction is if masks are held rather than redrawn."""
-    seen = what_matters.inside(folder)
-    if seen is None:
-        return None
-    return _words(what_matters.factor(seen.log_std_ratio(f"held-{kind}", f"redrawn-{kind}")))
+    seen = needed(what_matters.inside(folder))
+    return in_words(what_matters.factor(seen.log_std_ratio(f"held-{kind}", f"redrawn-{kind}")))
 
 
-def _no_dropout(what: str, digits: int, folder: Path | None) -> str | None:
+def _no_dropout(what: str, spec: str, folder: Path | None) -> str:
     """Return what Deep PILCO without dropout needs more than with it."""
-    found = [pair for pair in worth.pairs(worth.stored(folder)) if pair.name == "no-dropout"]
-    return _words(getattr(found[0], what), digits) if found else None
+    pairs = {pair.name: pair for pair in worth.pairs(worth.stored(folder))}
+    return in_words(getattr(needed(pairs.get("no-dropout")), what), spec)
 
 
-def _doubt(folder: Path | None) -> str | None:
+def _doubt(folder: Path | None) -> str:
     """Return how a step's part in PILCO's gradient goes with the doubt about it, as statement DE11a measures it."""
-    learning = data_efficiency.load("pilco-paper", folder)
-    return None if learning is None else _words(t_interval(data_efficiency.excess_on_predictable(learning)[0]))
+    learning = needed(data_efficiency.load("pilco-paper", folder))
+    return in_words(t_interval(data_efficiency.excess_on_predictable(learning)[0]))
 
 
-def _words(interval: Interval, digits: int = 2) -> str:
-    return what_matters.words(interval, digits).replace("-", "−")
-
-
-def _verdict(identifier: str, folder: Path | None) -> str | None:
-    """Return the verdict of a statement that is not a primary one; None while it is untested."""
+def _verdict(identifier: str, folder: Path | None) -> str:
+    """Return the verdict of a statement that is not a primary one; raises NotRun while it is untested."""
     (judged,) = judge([STATEMENTS[identifier]], folder)
-    return None if judged.verdict == "untested" else judged.verdict
+    if judged.verdict == "untested":
+        raise NotRun
+    return judged.verdict
 
 
 #: The statements whose verdicts the sentences of the first page give.
@@ -240,14 +238,14 @@ USED = (
     "DE4d", "DE5b", "DE5d", "DE6b", "DE6c", "DE7a", "DE7b", "DE7c", "DE8a", "DE8d", "DE9a", "DE9b", "DE13", "DE14a",
     "DE15",
 )  # fmt: skip
-#: The numbers by name; each is computed from the records of a folder.
-FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
+#: The numbers by name; each is computed from the records of a folder, and raises NotRun without them.
+FACTS: Mapping[str, Callable[[Path | None], str]] = {
     "tied": _tied,
     "entropy_early": lambda folder: _entropy(active_learning.EARLY, folder),
     "entropy_end": lambda folder: _entropy(active_learning.END, folder),
-    "entropy_steps_draws": lambda folder: _entropy_steps("ours/dropout/max-entropy", folder),
-    "entropy_steps": lambda folder: _entropy_steps("ours/softmax/max-entropy", folder),
-    "entropy_steps_recorded": lambda folder: _entropy_steps("as-recorded/softmax/max-entropy", folder),
+    "entropy_steps_draws": lambda folder: _entropy_steps("ours", "dropout/max-entropy", folder),
+    "entropy_steps": lambda folder: _entropy_steps("ours", "softmax/max-entropy", folder),
+    "entropy_steps_recorded": lambda folder: _entropy_steps("as-recorded", "softmax/max-entropy", folder),
     "cells_minimum": lambda folder: _printed_cells("minimum"),
     "cells_last": lambda folder: _printed_cells("last"),
     "greedy_early": lambda folder: _greedy(EARLY, folder),
@@ -264,8 +262,8 @@ FACTS: Mapping[str, Callable[[Path | None], str | None]] = {
     "later_ours": lambda folder: _solved_later("deep-pilco-ours", folder),
     "held_free": lambda folder: _held("free", folder),
     "held_matched": lambda folder: _held("matched", folder),
-    "no_dropout_trials": lambda folder: _no_dropout("trials_difference", 1, folder),
-    "no_dropout_cost": lambda folder: _no_dropout("cost_difference", 2, folder),
+    "no_dropout_trials": lambda folder: _no_dropout("trials_difference", ".1f", folder),
+    "no_dropout_cost": lambda folder: _no_dropout("cost_difference", ".2f", folder),
     "doubt": _doubt,
     **{name: functools.partial(_verdict, name) for name in SAID},
 }

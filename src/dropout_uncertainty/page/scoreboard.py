@@ -1,7 +1,6 @@
 """What the scoreboard shows: every statement with its verdict and what it rests on, and what records and pages took."""
 
 import hashlib
-import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,10 +15,11 @@ from dropout_uncertainty import folders
 from dropout_uncertainty.judging.collect import SECTIONS
 from dropout_uncertainty.judging.rules import Verdict
 from dropout_uncertainty.judging.statements import KINDS, Judged, Statement
+from dropout_uncertainty.page.curve_toggles import CONTROLS
 from dropout_uncertainty.page.tables import Table, command
 from dropout_uncertainty.runs import records as stored
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval
+from dropout_uncertainty.stats import Interval, in_digits, in_words
 
 __all__ = [
     "VERDICTS", "Board", "at_a_glance", "costs", "how_long", "run_times", "since_version_1", "tally", "verdicts",
@@ -53,24 +53,13 @@ def tally(judged: Sequence[Judged]) -> Cells:
     return ["section", "kind", "statements", "verdicts"], rows
 
 
-def number(value: float) -> str:
-    """Return a number of three digits; what was not reached is said."""
-    return "not reached" if math.isinf(value) else f"{value:.3g}".replace("-", "−")
-
-
-def ours(interval: Interval) -> str:
-    """Return a value with its interval, where it has one."""
-    limits = "" if math.isnan(interval.low) else f" [{number(interval.low)}, {number(interval.high)}]"
-    return number(interval.value) + limits
-
-
 def measured(judged: Judged) -> str | None:
     """Return our value in words with its unit; None where nothing was measured."""
     if judged.measured is None:
         return None
     if judged.statement.kind == "audit" and not judged.measured.ours.n:
         return "evidence in the repository"
-    return f"{ours(judged.measured.ours)} {judged.statement.unit}".strip()
+    return f"{in_words(judged.measured.ours, '.3g')} {judged.statement.unit}".strip()
 
 
 def said(judged: Judged) -> str:
@@ -85,7 +74,7 @@ def verdicts(judged: Iterable[Judged]) -> Table:
     for place, group in groupby(judged, lambda j: j.statement.where):
         for first, j in enumerate(group):
             star = " (primary)" if j.statement.primary else ""
-            beside = "".join(f"; {words}: {ours(interval)}" for words, interval in beside_of(j).items())
+            beside = "".join(f"; {words}: {in_words(interval, '.3g')}" for words, interval in beside_of(j).items())
             value = measured(j)
             shown = None if value is None else value + beside
             rows.append([None if first else place, j.statement.id, j.statement.text + star, shown, said(j)])
@@ -102,25 +91,12 @@ def beside_of(judged: Judged) -> Mapping[str, Interval]:
 
 # ------------------------------------------------------------------ the board
 
-SHEET = """
-#{name} fieldset {{ border: 0; margin: 0 0 0.5rem; padding: 0; display: flex; flex-wrap: wrap; gap: 0 1.2rem; }}
-#{name} legend {{ font-size: inherit; margin: 0; }}
-#{name} label {{ display: inline-flex; align-items: center; gap: 0.4rem; min-height: 1.75rem; cursor: pointer; }}
-#{name} details {{ font-size: 0.85em; overflow-wrap: anywhere; }}
-"""
+DETAILS = "#{name} details {{ font-size: 0.85em; overflow-wrap: anywhere; }}\n"
 HIDE = "#{name}:has(input[value='{verdict}']:checked) tbody tr:not([data-verdict='{verdict}']) {{ display: none; }}\n"
 CHOICE = '<label><input type="radio" name="{name}" value="{verdict}"{checked}> {verdict} ({count})</label>'
 HEADS = [
-    "",
-    "statement",
-    "thesis",
-    "ours [95 % interval]",
-    "margin",
-    "repetitions",
-    "by itself",
-    "adjusted",
-    "rests on",
-]
+    "", "statement", "thesis", "ours [95 % interval]", "margin", "repetitions", "by itself", "adjusted", "rests on",
+]  # fmt: skip
 
 
 class Board:
@@ -146,7 +122,7 @@ class Board:
         choices += [CHOICE.format(name=name, verdict=v, checked="", count=counts[v]) for v in present]
         heads = "".join(f"<th>{head}</th>" for head in HEADS)
         return (
-            f'<div id="{name}"><style>{SHEET.format(name=name)}{hide}</style>\n'
+            f'<div id="{name}"><style>{(CONTROLS + DETAILS).format(name=name)}{hide}</style>\n'
             f"<fieldset><legend>Show</legend>{''.join(choices)}</fieldset>\n"
             f'<table class="table"><thead><tr>{heads}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>'
         )
@@ -156,7 +132,7 @@ def _row(judged: Judged) -> str:
     """Return a statement as a row of the board."""
     s, m = judged.statement, judged.measured
     mark = " (primary)" if s.primary else ""
-    thesis = "" if s.thesis is None else number(s.thesis)
+    thesis = "" if s.thesis is None else in_digits(s.thesis, ".3g")
     margin = f"{s.margin:.2g} {s.unit}" if s.margin else ""
     why = f"<br><small>{escape(judged.why)}</small>" if judged.why else ""
     cells = [

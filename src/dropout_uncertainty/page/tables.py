@@ -10,7 +10,7 @@ from markdown_it import MarkdownIt
 
 from dropout_uncertainty.runs.records import Record
 
-__all__ = ["Folded", "Rendered", "Table", "Words", "command", "provenance"]
+__all__ = ["Folded", "Rendered", "Table", "Words", "command", "grid_of", "provenance"]
 
 
 class Rendered:
@@ -52,7 +52,7 @@ class Table(Rendered):
         for row in cells:
             if len(row) != len(columns):
                 raise ValueError(f"a table of {len(columns)} columns got a row of {len(row)} cells: {row}")
-        grid = _grid([list(map(_cell, columns)), *cells])
+        grid = grid_of([list(map(_cell, columns)), *cells])
         if name is None:
             markdown = f"*{caption}*\n\n{grid}" if caption else grid
         else:
@@ -168,8 +168,8 @@ def _cell(value: object) -> str:
     return text.replace("|", "\\|").replace("\n", " ")
 
 
-def _grid(rows: Sequence[Sequence[str]]) -> str:
-    """Return the rows, the first of which is the head, as a Markdown table."""
+def grid_of(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of plain cells, the first of which is the head, as a Markdown table; numbers stand right."""
     numeric = [all(_is_number(row[i]) for row in rows[1:]) for i in range(len(rows[0]))]
     rule = ["---:" if right and i else ":---" for i, right in enumerate(numeric)]
     return "\n".join("| " + " | ".join(row) + " |" for row in [rows[0], rule, *rows[1:]])

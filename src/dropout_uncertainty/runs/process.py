@@ -4,7 +4,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-__all__ = ["Process", "rounding"]
+__all__ = ["Process", "finished", "rounding"]
 
 
 @runtime_checkable
@@ -31,6 +31,13 @@ class Process(Protocol):
 
     def result(self) -> dict[str, np.ndarray]:
         """Return the arrays of the record, replicas first."""
+
+
+def finished(process: Process) -> Process:
+    """Return a process when it has done all its steps."""
+    while process.done < process.total:
+        process.advance()
+    return process
 
 
 def rounding(process: Process) -> int:

@@ -32,7 +32,7 @@ from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.settings import config_diff, config_hash
 
 __all__ = [
-    "Record", "RecordError", "checksum", "file_name", "find", "header_checksum", "missing_seeds", "parent",
+    "Record", "RecordError", "checksum", "file_name", "find", "header_checksum", "joined", "missing_seeds", "parent",
     "provenance", "read", "root", "table", "verify", "write",
 ]  # fmt: skip
 
@@ -40,6 +40,8 @@ SCHEMA = 2
 HEADER = "header.json"
 #: What systems say on a disk without hard links.
 NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
+#: Published seeds lie below this, those of development at it and above.
+DEVELOPMENT = 100
 #: Longest list of seeds in the name of a file.
 LONGEST = 60
 REMEDY = "restore it from version control, or delete it and run its unit again"
@@ -337,32 +339,41 @@ def find(
     folder: Path | None = None,
     precision: str | None = None,
     device: str | None = None,
+    published: bool | None = None,
 ) -> list[Record]:
     """Return the records of an experiment, ordered by path; optionally of one named config or one config's content.
 
     No seed of a config comes twice. Only records in the section's own precision count, unless another ``precision`` is
     asked for, and those of every device type, unless one is ("cpu" or "cuda"): a record all of whose seeds have been
-    computed on the other type too is left out, that of the GPU first.
+    computed on the other type too is left out, that of the GPU first. With ``published`` only records of published
+    seeds count, below 100, or (False) only those of development, 100 and above.
 
     Raises:
         RecordError: if one of them cannot be trusted, seeds come twice, or configs of one name differ.
     """
     folder = folders.existing(folder or root(), folders.RECORDS, "records")
     found = [_kept(path, folder) for path in _files(folder / experiment / (name or ""))]
-    if name is not None:
-        found = [record for record in found if record.header["name"] == name]
-    if config is not None:
-        found = [record for record in found if record.header["config_hash"] == config_hash(config)]
+    hashed = None if config is None else config_hash(config)
+    asked = {"name": name, "config_hash": hashed, "precision": precision, "device": device}
+    wanted = {key: value for key, value in asked.items() if value is not None}
+    found = [record for record in found if all(record.header[key] == value for key, value in wanted.items())]
     if precision is None:
         found = [record for record in found if record.published_precision]
-    else:
-        found = [record for record in found if record.header["precision"] == precision]
-    if device is not None:
-        found = [record for record in found if record.header["device"] == device]
+    if published is not None:
+        found = [record for record in found if (max(record.seeds) < DEVELOPMENT) == published]
     counted = _counted(found)
     if clash := _clash(counted):
         raise RecordError(clash[1])
     return counted
+
+
+def joined(
+    found: Sequence[Record], names: Iterable[str] | None = None
+) -> tuple[tuple[int, ...], dict[str, np.ndarray]]:
+    """Return the seeds of records of one config, in their order, and their arrays (or those named), replicas first."""
+    names = found[0].arrays if names is None else names
+    arrays = {name: np.concatenate([record.arrays[name] for record in found]) for name in names}
+    return tuple(seed for record in found for seed in record.seeds), arrays
 
 
 def _kept(path: Path, folder: Path) -> Record:

@@ -17,6 +17,7 @@ from dropout_uncertainty.judging.collect import STATEMENTS
 from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.settings import config_dict, config_hash
+from dropout_uncertainty.stats import share_interval
 
 TRIALS, STEPS = 10, PAPER.steps
 
@@ -79,11 +80,11 @@ def test_repetitions_to_show_lie_evenly_in_the_order_of_their_first_solved_trial
 
 
 def test_share_has_wilsons_interval():
-    value, low, high, n = analysis.share_interval([True] * 10)
+    value, low, high, n = share_interval([True] * 10)
     assert (value, n) == (1.0, 10)
     assert high == 1.0
     np.testing.assert_allclose(low, 10 / (10 + 1.959964**2), rtol=1e-6)
-    assert analysis.share_interval([]).n == 0
+    assert share_interval([]).n == 0
 
 
 def test_results_carry_the_ids_that_other_programs_rely_on(tmp_path):

@@ -65,7 +65,7 @@ def test_what_is_not_run_yet_is_said(cells):
     assert two_by_two.interval({name: curves(name, blocks=20) for name in LEVELS}, CONTRASTS["masks-off"]) is None
     lines = {line[0]: line for line in two_by_two.contrast_table(cells)[1]}
     assert lines[CONTRASTS["acting-plain"].text][2] == "not run yet"
-    assert lines[CONTRASTS["acting"].text][2].startswith("-0.050 [")
+    assert lines[CONTRASTS["acting"].text][2].startswith("−0.050 [")
     lines = {line[0]: line for line in two_by_two.cell_table(cells)[1]}
     assert lines[LABELS["plain-draw"]][1] == "not run yet"
     assert lines[LABELS["dropout-draw"]][2:] == ["10 %", 3]

@@ -1,9 +1,8 @@
 """From records to the numbers of Tables 5.1 and 5.2 and of AL1-AL9. Nothing is run and nothing is drawn here."""
 
 import functools
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import (
     Interval,
     bootstrap_interval,
+    common,
     crossing_interval,
     first_crossings,
     in_words,
@@ -24,7 +24,7 @@ from dropout_uncertainty.stats import (
 
 __all__ = [
     "EARLY", "END", "LABELS", "Row", "against_deterministic", "check_quick", "from_records", "load_rows",
-    "original_rows", "paired_curves", "paired_error", "results", "share_tied", "table_5_1", "table_5_2",
+    "original_rows", "paired", "paired_curves", "paired_error", "results", "share_tied", "table_5_1", "table_5_2",
     "table_settings",
 ]  # fmt: skip
 
@@ -88,6 +88,11 @@ class Row:
         """Minimum of the mean curve in %, the statistic that Table 5.1 prints."""
         return bootstrap_interval(lambda i: self.error[i].mean(-2).min(-1), len(self.error))
 
+    def mean(self, acquired: tuple[int, int]) -> Float[np.ndarray, " R"]:
+        """Return the mean test error in % of each repetition over a range of acquired points, both ends included."""
+        points = self.labels - self.labels[0]
+        return self.error[:, (points >= acquired[0]) & (points <= acquired[1])].mean(1)
+
     def crossing(self, threshold: float = THRESHOLD, *, width: int = 1) -> Interval:
         """Acquisitions until the mean curve, after a median of ``width`` points, is at ``threshold`` % or below."""
         return crossing_interval(self.error, threshold, width=width)
@@ -98,7 +103,7 @@ class Row:
 
     def stack(self, name: str) -> np.ndarray:
         """Return the array ``name`` of all records, replicas first."""
-        return np.concatenate([record.arrays[name] for record in self.records])
+        return records.joined(self.records, [name])[1][name]
 
 
 def load_rows(family: str = "ours", folder: Path | None = None, *, published: bool = True) -> dict[str, Row]:
@@ -113,7 +118,7 @@ def load_rows(family: str = "ours", folder: Path | None = None, *, published: bo
     rows = {}
     for name in [*LABELS, *(["random-without-dropout"] if family == "ours" else [])]:
         config = f"{family}/{name}"
-        found = [r for r in records.find(EXPERIMENT, name=config, folder=folder) if (max(r.seeds) < 100) == published]
+        found = records.find(EXPERIMENT, name=config, folder=folder, published=published)
         if found:
             rows[name] = from_records(name, config, found)
     return rows
@@ -121,9 +126,8 @@ def load_rows(family: str = "ours", folder: Path | None = None, *, published: bo
 
 def from_records(name: str, config: str, found: Sequence[Record]) -> Row:
     """Return the row that some records of one config make up."""
-    error = np.concatenate([record.arrays["error"] for record in found]).astype(float)
-    seeds = tuple(seed for record in found for seed in record.seeds)
-    return Row(name, config, found[0].arrays["labels"], error, seeds, tuple(found))
+    seeds, arrays = records.joined(found, ["error"])
+    return Row(name, config, found[0].arrays["labels"], arrays["error"].astype(float), seeds, tuple(found))
 
 
 #: The names of the rows in the original program's files.
@@ -151,14 +155,21 @@ def original_rows() -> dict[str, Row]:
     return {name: rows[name] for name in LABELS if name in rows}
 
 
+def paired(first: Row, second: Row) -> tuple[Row, ...]:
+    """Return the repetitions of the seeds that both rows have, in one order."""
+    rows = zip((first, second), common(first.seeds, second.seeds), strict=True)
+    return tuple(
+        replace(row, error=row.error[places], seeds=tuple(row.seeds[place] for place in places)) for row, places in rows
+    )
+
+
 def paired_curves(first: Row, second: Row) -> tuple[Int[np.ndarray, " T"], Float[np.ndarray, "R T"]]:
     """Return acquired points, and there the test error of one row less that of another, in points of %.
 
     One curve per seed that both have, as far as both rows go.
     """
-    common = [seed for seed in first.seeds if seed in second.seeds]
     length = min(len(first.labels), len(second.labels))
-    one, two = (row.error[[row.seeds.index(seed) for seed in common], :length] for row in (first, second))
+    one, two = (row.error[:, :length] for row in paired(first, second))
     return first.labels[:length] - first.labels[0], one - two
 
 
@@ -224,20 +235,9 @@ def _row_results(row: Row, suffix: str) -> list[Result]:
     ]
 
 
-def reached(value: float, last: int) -> str:
-    """Return a number of acquisitions in words: "> last" if it was not reached."""
-    return f"{value:.0f}" if math.isfinite(value) else f"> {last}"
-
-
-def _error_cell(interval: Interval | None) -> str | None:
-    return None if interval is None else in_words(interval, "z.2f")
-
-
-def _steps_cell(interval: Interval | None, last: int) -> str | None:
-    if interval is None:
-        return None
-    value, low, high = (reached(x, last) for x in interval[:3])
-    return value if interval.n < 2 else f"{value} [{low}, {high}]"
+def _steps(row: Row, threshold: float = THRESHOLD, *, width: int = 1) -> str:
+    """Return the acquisitions to a test error in words."""
+    return in_words(row.crossing(threshold, width=width), ".0f", unbounded=f"> {row.error.shape[1] - 1}")
 
 
 def table_5_1(rows: dict[str, Row]) -> tuple[list[str], list[list[object]]]:
@@ -246,15 +246,9 @@ def table_5_1(rows: dict[str, Row]) -> tuple[list[str], list[list[object]]]:
     cells: list[list[object]] = []
     for name, row in rows.items():
         old = original_rows().get(name)
-        before = [old.minimum, old.last] if old else [None, None]
-        cells.append(
-            [
-                row.label,
-                thesis_value(f"table-5.1/{name}"),
-                *map(_error_cell, [*before, row.minimum, row.last]),
-                len(row.error),
-            ]
-        )
+        before = [in_words(old.minimum), in_words(old.last)] if old else [None, None]
+        now = [in_words(row.minimum), in_words(row.last)]
+        cells.append([row.label, thesis_value(f"table-5.1/{name}"), *before, *now, len(row.error)])
     return heads, cells
 
 
@@ -264,8 +258,8 @@ def table_5_2(rows: dict[str, Row], threshold: float = THRESHOLD) -> tuple[list[
     cells: list[list[object]] = []
     for name, row in rows.items():
         old, printed = original_rows().get(name), thesis_value(f"table-5.2/{name}")
-        before = [_steps_cell(old.crossing(width=width) if old else None, 98) for width in (1, 5)]
-        now = [_steps_cell(row.crossing(threshold, width=width), row.error.shape[1] - 1) for width in (1, 5)]
+        before = [_steps(old, width=width) if old else None for width in (1, 5)]
+        now = [_steps(row, threshold, width=width) for width in (1, 5)]
         cells.append([row.label, printed and f"{printed:.0f}", *before, *now, len(row.error)])
     return heads, cells
 
@@ -282,8 +276,7 @@ def table_settings(folder: Path | None = None) -> tuple[list[str], list[list[obj
         printed = [thesis_value(f"table-5.1/{name}"), None, f"{thesis_value(f'table-5.2/{name}'):.0f}"]
         cells.append([LABELS[name], "thesis, printed", *printed, len(original.error)])
         for words, row in here.items():
-            steps = _steps_cell(row.crossing(), row.error.shape[1] - 1)
-            cells.append([row.label, words, *map(_error_cell, (row.minimum, row.last)), steps, len(row.error)])
+            cells.append([row.label, words, *map(in_words, (row.minimum, row.last)), _steps(row), len(row.error)])
     return heads, cells
 
 
@@ -297,7 +290,7 @@ def against_deterministic(rows: dict[str, Row]) -> tuple[list[str], list[list[ob
     ranges = [points for points in (EARLY, END) if points[1] <= reach] or [(0, reach)]
     heads = ["", *(f"minus {LABELS[name]}, {low} to {high}" for name in fair for low, high in ranges)]
     cells: list[list[object]] = [
-        [row.label, *(_error_cell(paired_error(row, rows[other], *points)) for other in fair for points in ranges)]
+        [row.label, *(in_words(paired_error(row, rows[other], *points)) for other in fair for points in ranges)]
         for name, row in rows.items()
         if name.startswith("dropout/")
     ]

@@ -73,7 +73,7 @@ def table(found: Mapping[str, Row]) -> tuple[list[str], list[list[object]]]:
 
 
 def _cell(heights: Float[np.ndarray, " R"] | None) -> str | None:
-    return None if heights is None else f"{in_words(mean_estimate(heights), 'z.1f')} ({len(heights)})"
+    return None if heights is None else f"{in_words(mean_estimate(heights), '.1f')} ({len(heights)})"
 
 
 def touched(folder: Path | None = None) -> tuple[list[str], list[list[object]]]:

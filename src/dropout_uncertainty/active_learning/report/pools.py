@@ -10,57 +10,41 @@ from jaxtyping import Float, Int
 from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.experiment import CONFIGS, POOL_ROWS, SENSITIVITY, task_of
 from dropout_uncertainty.active_learning.noisy_pools import Task
-from dropout_uncertainty.active_learning.report.analysis import LABELS, Row, load_rows
-from dropout_uncertainty.judging.results import Result, measured
+from dropout_uncertainty.active_learning.report.analysis import LABELS, Row, load_rows, paired
+from dropout_uncertainty.judging.results import Result, listed
 from dropout_uncertainty.judging.rules import Side, comparison
-from dropout_uncertainty.stats import Interval, in_words, mean_estimate, t_interval
+from dropout_uncertainty.stats import in_words, mean_estimate, t_interval
 
 __all__ = [
-    "CONTRASTS", "END", "NOISE", "RANGE", "STATEMENTS", "Contrast", "acquired", "contrast", "contrasts", "load",
-    "mean_error", "noise", "results", "sensitivity", "verdicts", "which_for_which",
+    "CONTRASTS", "MARGIN", "NOISE", "RANGE", "Contrast", "acquired", "contrast", "contrasts", "load", "mean_error",
+    "noise", "results", "sensitivity", "side_of", "verdicts", "which_for_which",
 ]  # fmt: skip
 
-#: Acquired points over which the test error is averaged, and the last three points of the curves.
-RANGE, END = (100, 300), (280, 300)
+#: Acquired points over which the test error is averaged.
+RANGE = (100, 300)
 #: What is wasted in each kind of pool.
 NOISE = {"ambiguous": "ambiguous images", "repeated": "repetitions", "irrelevant": "irrelevant images"}
-#: The comparisons of the chapter: pool, row, row that it is compared with.
-CONTRASTS: tuple[tuple[str, str, str], ...] = (
-    ("ambiguous", "dropout/bald", "softmax/max-entropy"),
-    *(
-        ("ambiguous", row, other)
-        for row, other in (
-            ("dropout/bald", "random"),
-            ("dropout/max-entropy", "softmax/max-entropy"),
-            ("softmax/max-entropy", "random"),
-            ("dropout/variation-ratios", "softmax/least-confidence"),
-            ("dropout/mean-std", "dropout/bald"),
-            ("dropout/bald", "ensemble/bald"),
-        )
-    ),
-    ("clean", "dropout/max-entropy", "softmax/max-entropy"),
-    ("clean", "dropout/bald", "softmax/max-entropy"),
-    ("clean", "dropout/bald", "ensemble/bald"),
-    ("repeated", "dropout/bald", "softmax/max-entropy"),
-    ("repeated", "dropout/batch-bald", "dropout/bald"),
-    ("repeated", "dropout/power-bald", "dropout/bald"),
-    ("irrelevant", "dropout/bald", "softmax/max-entropy"),
-)
-
-
-#: Statements by id: pool, row, the row it is compared with, acquired points, the side claimed for the difference, and
-#: the margin in points of %.
-STATEMENTS: dict[str, tuple[str, str, str, tuple[int, int], Side, float]] = {
-    "AL3e": ("clean", "dropout/max-entropy", "softmax/max-entropy", RANGE, "less", 1.0),
-    "AL3f": ("clean", "dropout/max-entropy", "softmax/max-entropy", END, "less", 0.25),
-    "AL11": ("ambiguous", "dropout/bald", "softmax/max-entropy", RANGE, "less", 1.0),
-    "AL11b": ("ambiguous", "dropout/max-entropy", "softmax/max-entropy", RANGE, "less", 1.0),
-    "AL11c": ("ambiguous", "dropout/variation-ratios", "softmax/least-confidence", RANGE, "less", 1.0),
-    "AL11d": ("repeated", "dropout/bald", "softmax/max-entropy", RANGE, "less", 1.0),
-    "AL11e": ("irrelevant", "dropout/bald", "softmax/max-entropy", RANGE, "less", 1.0),
-    "AL11f": ("ambiguous", "ensemble/bald", "ensemble/max-entropy", RANGE, "less", 1.0),
-    "AL12": ("ambiguous", "dropout/mean-std", "dropout/bald", RANGE, "more", 1.0),
+#: The comparisons of the chapter by the ids of their statements: pool, row, row that it is compared with.
+CONTRASTS: dict[str, tuple[str, str, str]] = {
+    "AL11": ("ambiguous", "dropout/bald", "softmax/max-entropy"),
+    "AL11b": ("ambiguous", "dropout/bald", "random"),
+    "AL11c": ("ambiguous", "dropout/max-entropy", "softmax/max-entropy"),
+    "AL11d": ("ambiguous", "softmax/max-entropy", "random"),
+    "AL11e": ("ambiguous", "dropout/variation-ratios", "softmax/least-confidence"),
+    "AL12": ("ambiguous", "dropout/mean-std", "dropout/bald"),
+    "AL11f": ("ambiguous", "dropout/bald", "ensemble/bald"),
+    "AL3e": ("clean", "dropout/max-entropy", "softmax/max-entropy"),
+    "AL11g": ("clean", "dropout/bald", "softmax/max-entropy"),
+    "AL11h": ("clean", "dropout/bald", "ensemble/bald"),
+    "AL11i": ("repeated", "dropout/bald", "softmax/max-entropy"),
+    "AL11j": ("repeated", "dropout/batch-bald", "dropout/bald"),
+    "AL11k": ("repeated", "dropout/power-bald", "dropout/bald"),
+    "AL11l": ("irrelevant", "dropout/bald", "softmax/max-entropy"),
 }
+#: Those that claim a larger error; the others claim a smaller one.
+LARGER = ("AL12",)
+#: Differences of the test error below this are too small to matter [points].
+MARGIN = 1.0
 
 
 class Contrast(NamedTuple):
@@ -89,9 +73,7 @@ def load(family: str = "pools", folder: Path | None = None, *, published: bool =
 
 def mean_error(row: Row, points: tuple[int, int] = RANGE) -> Float[np.ndarray, " R"]:
     """Return each run's mean test error in % over a range of acquired points, or over all that a shorter run has."""
-    numbers = row.labels - row.labels[0]
-    wanted = (numbers >= points[0]) & (numbers <= points[1])
-    return row.error[:, wanted if wanted.any() else slice(None)].mean(1)
+    return row.mean(points) if points[0] <= row.labels[-1] - row.labels[0] else row.error.mean(1)
 
 
 def noise(row: Row) -> Float[np.ndarray, " R"]:
@@ -104,29 +86,30 @@ def noise(row: Row) -> Float[np.ndarray, " R"]:
 def contrast(pools: Mapping[str, Mapping[str, Row]], kind: str, first: str, second: str,
              points: tuple[int, int] = RANGE) -> Contrast:  # fmt: skip
     """Return a comparison over the seeds that both rows have; none of them where a row has not been run."""
-    rows = [pools[kind].get(name) for name in (first, second)]
-    common = sorted(set.intersection(*(set(row.seeds) if row else set() for row in rows)))
-    one, two = (
-        mean_error(r, points)[[r.seeds.index(s) for s in common]] if r and common else np.zeros(0) for r in rows
-    )
+    rows = [pools[kind][name] for name in (first, second) if name in pools[kind]]
+    one, two = (mean_error(row, points) for row in paired(*rows)) if len(rows) == 2 else (np.zeros(0), np.zeros(0))
     return Contrast(kind, first, second, (one, two))
 
 
 def contrasts(pools: Mapping[str, Mapping[str, Row]]) -> Iterator[Contrast]:
     """Return the chapter's comparisons, those that have no runs yet included."""
-    return (contrast(pools, *names) for names in CONTRASTS)
+    return (contrast(pools, *names) for names in CONTRASTS.values())
+
+
+def side_of(name: str) -> Side:
+    """Return the side that a statement about a difference claims."""
+    return "more" if name in LARGER else "less"
 
 
 def verdicts(pools: Mapping[str, Mapping[str, Row]]) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells of the statements about pools; plain verdicts, not adjusted for their number."""
     cells: list[list[object]] = []
-    for name, (kind, first, second, points, side, margin) in STATEMENTS.items():
-        pair = contrast(pools, kind, first, second, points)
-        found = mean_estimate(pair.difference)
+    for name, pair in zip(CONTRASTS, contrasts(pools), strict=True):
+        found, side = mean_estimate(pair.difference), side_of(name)
         difference = in_words(found, ".1f") if found.n else "not run yet"
-        where = f"{kind}, {points[0]} to {points[1]}"
-        cells.append([name, where, pair.label, side, difference, found.n, comparison(found, side, margin)])
-    return ["", "pool, acquired", "difference", "claimed", "points [95 %]", "seeds", "verdict"], cells
+        cells.append([name, pair.kind, pair.label, side, difference, found.n, comparison(found, side, MARGIN)])
+    points = f"points, {RANGE[0]} to {RANGE[1]} acquired [95 %]"
+    return ["", "pool", "difference", "claimed", points, "seeds", "verdict"], cells
 
 
 def which_for_which(pools: Mapping[str, Mapping[str, Row]]) -> tuple[list[str], list[list[object]]]:
@@ -158,7 +141,7 @@ def sensitivity(folder: Path | None = None) -> tuple[list[str], list[list[object
         settings[change] = same | load_rows(f"pools-sensitivity/{change}", folder)
     cells: list[list[object]] = []
     for setting, rows in settings.items():
-        pair = contrast({"ambiguous": rows}, *CONTRASTS[0])
+        pair = contrast({"ambiguous": rows}, *CONTRASTS["AL11"])
         found = mean_estimate(pair.difference)
         difference = in_words(found, ".1f") if found.n else "not run yet"
         cells.append([setting, difference, found.n])
@@ -173,18 +156,13 @@ def acquired(kind: str, row: Row) -> tuple[Task, Int[np.ndarray, " n"]]:
 
 def results(folder: Path | None = None) -> list[Result]:
     """Return ``pools/<pool>/<row>/error`` and ``/noise``."""
-    return [
-        result for kind, rows in load(folder=folder).items() for row in rows.values() for result in _results(kind, row)
-    ]
-
-
-def _results(kind: str, row: Row) -> Iterator[Result]:
-    def result(what: str, interval: Interval, unit: str, statistic: str) -> Result:
-        return measured(
-            f"pools/{kind}/{row.name}/{what}", interval, row.records, unit=unit, statistic=statistic, config=row.config
-        )
-
-    error = t_interval(mean_error(row))
-    yield result("error", error, "%", f"mean test error over {RANGE[0]} to {RANGE[1]} acquired points")
-    if kind in NOISE:
-        yield result("noise", t_interval(100 * noise(row)), "%", f"share of {NOISE[kind]} among the acquired points")
+    found = []
+    for kind, rows in load(folder=folder).items():
+        for row in rows.values():
+            error = f"mean test error over {RANGE[0]} to {RANGE[1]} acquired points"
+            numbers = [("error", t_interval(mean_error(row)), "%", error)]
+            if kind in NOISE:
+                share = t_interval(100 * noise(row))
+                numbers.append(("noise", share, "%", f"share of {NOISE[kind]} among the acquired points"))
+            found += listed(f"pools/{kind}/{row.name}", numbers, row.records, row.config)
+    return found

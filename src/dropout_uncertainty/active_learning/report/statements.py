@@ -19,17 +19,29 @@ from dropout_uncertainty.active_learning.report.analysis import (
     Row,
     load_rows,
     original_rows,
+    paired,
     share_tied,
 )
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, audited, on_average, shifted
+from dropout_uncertainty.judging.statements import (
+    NEAR,
+    Kind,
+    Measured,
+    NotRun,
+    Statement,
+    audit,
+    audited,
+    needed,
+    on_average,
+    shifted,
+)
 from dropout_uncertainty.stats import Interval, Statistic, bootstrap_estimate, first_crossings
 
 __all__ = ["STATEMENTS", "ranges"]
 
 TABLES, POOLS = "5_2_active_learning", "5_2_when_draws_help"
-#: Margins in points of test error: over 100-400 acquired points, at the end, and in the pools over 100-300.
-MARGIN, MARGIN_END, MARGIN_POOLS = 0.5, 0.25, 1.0
+#: Margins in points of test error: over 100-400 acquired points, and at the end.
+MARGIN, MARGIN_END = 0.5, 0.25
 #: Acquired points over which a curve that has converged is flat.
 LAST = (880, 980)
 #: Cells of the tables in the order of their statements, and the scores that both kinds of networks can be given.
@@ -39,7 +51,9 @@ CELLS = [
 ]  # fmt: skip
 SCORES = {"bald": "BALD", "variation-ratios": "Variation Ratios", "max-entropy": "Max Entropy"}
 
-Ours = Callable[[Row], float]
+
+stated = partial(Statement, chapter=TABLES)
+fact = partial(audit, chapter=TABLES)
 
 
 # ------------------------------------------------------------------ printed values
@@ -67,11 +81,11 @@ def crossing_at_least(curves: Float[np.ndarray, "R T"]) -> Statistic:
     return lambda indices: np.minimum(crossing(curves)(indices), curves.shape[1])
 
 
-def cell(name: str, table: str, folder: Path | None) -> Measured | None:
+def cell(name: str, table: str, folder: Path | None) -> Measured:
     """Return a cell of Table 5.1 or 5.2: our statistic less that of the original program's curves, both resampled."""
-    row = load_rows("ours", folder).get(name)
-    if row is None or len(row.error) < 3:
-        return None
+    row = needed(load_rows("ours", folder).get(name))
+    if len(row.error) < 3:
+        raise NotRun
     least, most = (lowest, lowest) if table == "table-5.1" else (crossing_at_least, crossing)
     error, original = row.error, original_rows()[name].error
     difference = bootstrap_estimate(
@@ -93,8 +107,8 @@ def of_table(identifier: str, table: str, name: str) -> Statement:
         if table == "table-5.1"
         else f"{LABELS[name]}: {value:g} acquisitions to a test error of 5 %"
     )
-    return Statement(
-        identifier, f"{what}.", f"Table {table[-3:]}", "value", NEAR * value, TABLES, partial(cell, name, table),
+    return stated(
+        identifier, f"{what}.", f"Table {table[-3:]}", "value", NEAR * value, partial(cell, name, table),
         unit="%" if table == "table-5.1" else "acquisitions", thesis=value,
     )  # fmt: skip
 
@@ -102,29 +116,17 @@ def of_table(identifier: str, table: str, name: str) -> Statement:
 # ------------------------------------------------------------------ comparisons
 
 
-def means(row: Row, acquired: tuple[int, int], name: str = "error") -> dict[int, float]:
-    """Return the mean test error of each seed over a range of acquired points, both ends included."""
-    points = row.labels - row.labels[0]
-    wanted = (points >= acquired[0]) & (points <= acquired[1])
-    values = row.error if name == "error" else row.stack(name)
-    return dict(zip(row.seeds, values[:, wanted].mean(1), strict=True))
-
-
-def curves(
-    first: str, second: str, acquired: tuple[int, int], folder: Path | None, family: str = "ours"
-) -> Measured | None:
+def curves(first: str, second: str, acquired: tuple[int, int], folder: Path | None, family: str = "ours") -> Measured:
     """Return the test error of one row less that of another, paired by seed."""
     rows = load_rows(family, folder)
-    if not {first, second} <= rows.keys():
-        return None
-    differences = apart(acquired, rows[first], rows[second])
-    return on_average(differences, [*rows[first].records, *rows[second].records])
+    one, two = (needed(rows.get(name)) for name in (first, second))
+    return on_average(apart(acquired, one, two), [*one.records, *two.records])
 
 
-def apart(acquired: tuple[int, int], first: Row, second: Row) -> list[float]:
+def apart(acquired: tuple[int, int], first: Row, second: Row) -> Float[np.ndarray, " R"]:
     """Return the mean test error of one row less that of another over a range, one number per seed of both."""
-    one, two = (means(row, acquired) for row in (first, second))
-    return [one[seed] - two[seed] for seed in one if seed in two]
+    one, two = paired(first, second)
+    return one.mean(acquired) - two.mean(acquired)
 
 
 def compared(
@@ -133,52 +135,43 @@ def compared(
 ) -> Statement:  # fmt: skip
     """Return a statement about two rows of the tables."""
     margin = MARGIN_END if acquired == END else MARGIN
-    return Statement(
-        identifier, text, where, kind, margin, TABLES, partial(curves, first, second, acquired),
-        unit="points", primary=primary,
-    )  # fmt: skip
+    measure = partial(curves, first, second, acquired)
+    return stated(identifier, text, where, kind, margin, measure, unit="points", primary=primary)
 
 
-def in_pool(
-    identifier: str, text: str, where: str, kind: Kind, pool: str, first: str, second: str, *, primary: bool = False
-) -> Statement:
+def in_pool(name: str, text: str, where: str, *, primary: bool = False) -> Statement:
     """Return a statement about two rows on one of the pools of "When do weight draws help?"."""
+    pool, first, second = pools.CONTRASTS[name]
     measure = partial(curves, first, second, pools.RANGE, family=f"pools/{pool}")
-    return Statement(
-        identifier, text, where, kind, MARGIN_POOLS, POOLS, measure, unit="points", primary=primary,
-        would_test=f"20 runs of both rows on the {pool} pool",
+    return stated(
+        name, text, where, pools.side_of(name), pools.MARGIN, measure, unit="points", primary=primary,
+        would_test=f"20 runs of both rows on the {pool} pool", chapter=POOLS,
     )  # fmt: skip
 
 
-def ratio(score: str, folder: Path | None) -> Measured | None:
+def ratio(score: str, folder: Path | None) -> Measured:
     """Return acquisitions to 5 % with weight draws by those without, less the 0.8 from which "far fewer" begins."""
     rows = load_rows("ours", folder)
-    names = [f"{kind}/{score}" for kind in ("dropout", "softmax")]
-    if not set(names) <= rows.keys():
-        return None
-    seeds = [seed for seed in rows[names[0]].seeds if seed in rows[names[1]].seeds]
-    first, second = (rows[n].error[[rows[n].seeds.index(seed) for seed in seeds]] for n in names)
+    both = paired(*(needed(rows.get(f"{kind}/{score}")) for kind in ("dropout", "softmax")))
+    first, second = (row.error for row in both)
     difference = bootstrap_estimate(
-        lambda i: crossing_at_least(first)(i) / crossing(second)(i) - 0.8, len(seeds),
+        lambda i: crossing_at_least(first)(i) / crossing(second)(i) - 0.8, len(first),
         most=lambda i: crossing(first)(i) / crossing_at_least(second)(i) - 0.8,
     )  # fmt: skip
-    found = [record for name in names for record in rows[name].records]
-    return Measured(difference, shifted(difference.interval, 0.8), found)
+    return Measured(difference, shifted(difference.interval, 0.8), [record for row in both for record in row.records])
 
 
-def averaging(folder: Path | None) -> Measured | None:
+def averaging(folder: Path | None) -> Measured:
     """Return the test error of weight scaling less that of an average over draws, where both were measured."""
-    row = load_rows("ours", folder).get("random")
-    if row is None:
-        return None
+    row = needed(load_rows("ours", folder).get("random"))
     averaged = row.stack("mc_error")
     return on_average((row.error - averaged)[:, ~np.isnan(averaged[0])].mean(1), row.records)
 
 
-def slope(name: str, folder: Path | None) -> Measured | None:
+def slope(name: str, folder: Path | None) -> Measured:
     """Return by how much the last 100 labels change the test error of a row."""
-    row = load_rows("ours", folder).get(name)
-    return None if row is None else on_average(rise(row), row.records)
+    row = needed(load_rows("ours", folder).get(name))
+    return on_average(rise(row), row.records)
 
 
 def rise(row: Row) -> Float[np.ndarray, " R"]:
@@ -190,11 +183,9 @@ def rise(row: Row) -> Float[np.ndarray, " R"]:
 # ------------------------------------------------------------------ audits
 
 
-def all_tied(name: str, folder: Path | None) -> Measured | None:
+def all_tied(name: str, folder: Path | None) -> Measured:
     """Return whether every candidate had the same score in every round of a row."""
-    row = load_rows("ours", folder).get(name)
-    if row is None:
-        return None
+    row = needed(load_rows("ours", folder).get(name))
     share = share_tied(row)
     return Measured(audited(share == 1.0).difference, Interval(share, np.nan, np.nan, len(row.seeds)), row.records)
 
@@ -208,11 +199,6 @@ def minima(_: Path | None) -> Measured:
 def mixed(field: str, _: Path | None) -> Measured:
     """Return whether the scripts behind the cells differ in a field of their configs."""
     return audited(len({getattr(CONFIGS[f"as-recorded/{name}"], field) for name in CELLS}) > 1)
-
-
-def audit(identifier: str, text: str, where: str, measure: Callable[[Path | None], Measured | None]) -> Statement:
-    """Return a statement about a fact, that is no claim of the thesis."""
-    return Statement(identifier, text, where, "audit", 0.0, TABLES, measure)
 
 
 # ------------------------------------------------------------------ the list
@@ -235,7 +221,7 @@ STATEMENTS: list[Statement] = [
     ),
     in_pool(
         "AL3e", "The entropy over weight draws chooses better labels than the entropy of one pass of the network.",
-        WORDS, "less", "clean", DRAW, PASS, primary=True,
+        WORDS, primary=True,
     ),
     compared("AL3f", "The same in the rows of the tables, at the end.", WORDS, "less", DRAW, PASS, END),
     compared("AL3g", "The same in the rows of the tables, early.", WORDS, "less", DRAW, PASS),
@@ -259,46 +245,39 @@ STATEMENTS: list[Statement] = [
         for letter, score in (("d", "bald"), ("e", "variation-ratios"), ("f", "max-entropy"))
     ),
     *(
-        Statement(
+        stated(
             f"AL6{letter}", f"{SCORES[score]} over weight draws needs far fewer acquisitions to 5 % than its Softmax "
-            "version: less than 0.8 times as many.", "Table 5.2", "less", 0.1, TABLES, partial(ratio, score),
-            unit="", thesis=0.8,
+            "version: less than 0.8 times as many.", "Table 5.2", "less", 0.1, partial(ratio, score), thesis=0.8,
         )
         for letter, score in (("a", "max-entropy"), ("b", "variation-ratios"), ("c", "bald"))
     ),
-    audit("AL7a", "Softmax BALD cannot choose: all candidates have the same score in every round.", FIGURE_1,
-          partial(all_tied, "softmax/bald")),
-    audit("AL7b", "Softmax Variation Ratios cannot choose: all candidates have the same score in every round.",
-          FIGURE_1, partial(all_tied, "softmax/variation-ratios")),
-    audit("AL8a", "Table 5.1 prints the minima of the recorded mean curves.", "Table 5.1", minima),
-    audit("AL8b", "The rows of the tables come from two networks.", "Tables 5.1 and 5.2", partial(mixed, "kernel")),
-    audit("AL8c", "They come from two weight decays.", "Tables 5.1 and 5.2", partial(mixed, "decay")),
-    audit("AL8d", "They search different parts of the pool.", "Tables 5.1 and 5.2", partial(mixed, "subset")),
+    fact("AL7a", "Softmax BALD cannot choose: all candidates have the same score in every round.", FIGURE_1,
+         partial(all_tied, "softmax/bald")),
+    fact("AL7b", "Softmax Variation Ratios cannot choose: all candidates have the same score in every round.",
+         FIGURE_1, partial(all_tied, "softmax/variation-ratios")),
+    fact("AL8a", "Table 5.1 prints the minima of the recorded mean curves.", "Table 5.1", minima),
+    fact("AL8b", "The rows of the tables come from two networks.", "Tables 5.1 and 5.2", partial(mixed, "kernel")),
+    fact("AL8c", "They come from two weight decays.", "Tables 5.1 and 5.2", partial(mixed, "decay")),
+    fact("AL8d", "They search different parts of the pool.", "Tables 5.1 and 5.2", partial(mixed, "subset")),
     compared("AL9a", "With 20 to 100 labels, dropout in training lowers the test error.", "Section 5.2, paragraph 3",
              "more", "random-without-dropout", "random", (0, 80)),
     compared("AL9b", "With 100 to 400 labels it does so too.", "Section 5.2, paragraph 3", "more",
              "random-without-dropout", "random", (80, 380)),
-    Statement("AL9c", "An average over weight draws predicts as well as weight scaling.", "Section 5.2, paragraph 4",
-              "equality", MARGIN_END, TABLES, averaging, unit="points"),
+    stated("AL9c", "An average over weight draws predicts as well as weight scaling.", "Section 5.2, paragraph 4",
+           "equality", MARGIN_END, averaging, unit="points"),
     *(
-        Statement(f"AL10{letter}", f"The test error of {LABELS[name]} has converged at 1000 labels.",
-                  "Section 5.2, text to Table 5.1", "equality", 0.1, TABLES, partial(slope, name),
-                  unit="points per 100 labels")
+        stated(f"AL10{letter}", f"The test error of {LABELS[name]} has converged at 1000 labels.",
+               "Section 5.2, text to Table 5.1", "equality", 0.1, partial(slope, name), unit="points per 100 labels")
         for letter, name in zip("abcd", ("random", *(f"dropout/{score}" for score in SCORES)), strict=True)
     ),
     in_pool("AL11", "Where images are ambiguous, weight draws choose better labels: BALD against the entropy of one "
-            "pass.", WORDS, "less", "ambiguous", "dropout/bald", PASS, primary=True),
+            "pass.", WORDS, primary=True),
     *(
-        in_pool(f"AL11{letter}", f"{LABELS[first]} errs less than {LABELS[second]} on the {pool} pool.", WORDS, "less",
-                pool, first, second)
-        for letter, (pool, first, second) in zip(
-            "bcdefghijklmnop",
-            (c for c in pools.CONTRASTS[1:] if c[1] != "dropout/mean-std" and c != ("clean", DRAW, PASS)),
-            strict=False,
-        )
+        in_pool(name, f"{LABELS[first]} errs less than {LABELS[second]} on the {pool} pool.", WORDS)
+        for name, (pool, first, second) in sorted(pools.CONTRASTS.items())
+        if name.startswith("AL11") and name != "AL11"
     ),
-    in_pool("AL12", "Mean STD is not the best summary: worse than BALD on the ambiguous pool.", "Footnote 1", "more",
-            "ambiguous", "dropout/mean-std", "dropout/bald"),
+    in_pool("AL12", "Mean STD is not the best summary: worse than BALD on the ambiguous pool.", "Footnote 1"),
     *(
         compared(f"AL12{letter}", f"Mean STD is worse than {SCORES[score]} in the rows of the tables.", "Footnote 1",
                  "more", "dropout/mean-std", f"dropout/{score}")

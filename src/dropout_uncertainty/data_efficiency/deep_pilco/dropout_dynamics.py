@@ -21,6 +21,8 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, ST
 # The noise standard deviation is learned between these, in units of the targets' standard deviation.
 LOG_NOISE_RANGE = (-5.0, 0.0)
 LOG_NOISE_START = -2.0
+# What inputs and targets are scaled by, [R, 1, columns] each.
+SCALING = ("input_mean", "input_std", "target_mean", "target_std")
 # Optimisation steps whose masks and minibatches are drawn at once: long enough to forget the overhead of a
 # generator, short enough to stay in cache.
 BLOCK = 10
@@ -146,7 +148,7 @@ class DropoutDynamics:
             for mine, whole in zip(part.net.parameters(), self.net.parameters(), strict=True):
                 mine.copy_(whole[rows])
             part.log_noise = nn.Parameter(self.log_noise[rows])
-        for name in ("input_mean", "input_std", "target_mean", "target_std"):
+        for name in SCALING:
             setattr(part, name, getattr(self, name)[rows])
         return part
 
@@ -269,9 +271,7 @@ class DropoutDynamics:
     def state(self) -> dict[str, Tensor]:
         """Return a copy of all that a fit changes."""
         named = {name: p.detach().clone() for name, p in self.net.named_parameters()}
-        scaling = {
-            name: getattr(self, name).clone() for name in ("input_mean", "input_std", "target_mean", "target_std")
-        }
+        scaling = {name: getattr(self, name).clone() for name in SCALING}
         return {**named, "log_noise": self.log_noise.detach().clone(), **scaling}
 
     def restore(self, state: dict[str, Tensor]) -> None:
@@ -279,7 +279,7 @@ class DropoutDynamics:
         with torch.no_grad():
             for name, p in itertools.chain(self.net.named_parameters(), [("log_noise", self.log_noise)]):
                 p.copy_(state[name])
-        for name in ("input_mean", "input_std", "target_mean", "target_std"):
+        for name in SCALING:
             setattr(self, name, state[name].to(self.log_noise))
 
 

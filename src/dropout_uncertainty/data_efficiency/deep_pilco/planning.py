@@ -27,7 +27,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco.particles import (
 )  # fmt: skip
 from dropout_uncertainty.data_efficiency.minimise import batched
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole
-from dropout_uncertainty.data_efficiency.policies import RBFPolicy
+from dropout_uncertainty.data_efficiency.policies import Layout, RBFPolicy
 from dropout_uncertainty.settings import tidy
 
 OPTIMISERS = ("adam", "bfgs")
@@ -111,21 +111,15 @@ class Shape(Protocol):
 
 
 @dataclass(frozen=True)
-class RBFShape:
-    """How the parameters of N basis functions over D features stand in one vector: length-scales, centres, weights."""
+class RBFShape(Layout):
+    """A policy's parameters with a weight for each basis function."""
 
     basis: int = 50
-    dim: int = DIM
-
-    @property
-    def size(self) -> int:
-        """The length of the vector."""
-        return self.dim + self.basis * (self.dim + 1)
 
     def policy(self, parameters: Float[Tensor, "R P"]) -> RBFPolicy:
         """Return the policies of these parameters."""
-        scales, centres, weights = parameters.split((self.dim, self.basis * self.dim, self.basis), -1)
-        return RBFPolicy(centres.reshape(-1, self.basis, self.dim), scales[:, None], weights[:, None])
+        scales, centres, weights = self.split(parameters)
+        return RBFPolicy(centres, scales, weights)
 
     def initial(self, spread: Sequence[float], weight_std: float, generator: Generator) -> Float[Tensor, " P"]:
         """Return a random policy over the features (x, v, w, sin θ, cos θ).

@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.minimise.batched import Minimum, minimi
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole, features
 from dropout_uncertainty.data_efficiency.plant.cost import cost, cost_moments
-from dropout_uncertainty.data_efficiency.policies import Policy, RBFPolicy, force, force_moments
+from dropout_uncertainty.data_efficiency.policies import Layout, Policy, RBFPolicy, force, force_moments
 
 DIM = len(FEATURE_NAMES)
 
@@ -78,22 +78,13 @@ def expected_costs(plant: CartPole, states: Gaussian) -> Float[Tensor, "R steps"
 
 
 @dataclass(frozen=True)
-class PolicyShape:
-    """How the parameters of N basis functions over D features stand in one vector: length-scales, centres, targets."""
-
-    basis: int
-    dim: int = DIM
-
-    @property
-    def size(self) -> int:
-        """The length of the vector."""
-        return self.dim + self.basis * (self.dim + 1)
+class PolicyShape(Layout):
+    """A policy's parameters with a target for each basis function."""
 
     def policy(self, parameters: Float[Tensor, "R P"]) -> RBFPolicy:
         """Return the policies of these parameters."""
-        scales, centres, targets = parameters.split((self.dim, self.basis * self.dim, self.basis), -1)
-        centres = centres.reshape(-1, self.basis, self.dim)
-        return RBFPolicy.from_targets(centres, scales[:, None], targets[:, None])
+        scales, centres, targets = self.split(parameters)
+        return RBFPolicy.from_targets(centres, scales, targets)
 
     def initial(
         self, plant: CartPole, target_std: float, log_length_scales: tuple[float, ...], generator: Generator

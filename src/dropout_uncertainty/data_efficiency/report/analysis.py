@@ -17,17 +17,17 @@ from dropout_uncertainty.data_efficiency.learning import EXPERIMENT
 from dropout_uncertainty.data_efficiency.pilco.learner import LONGER
 from dropout_uncertainty.data_efficiency.plant import cost
 from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, CartPole
-from dropout_uncertainty.judging.results import Result, measured, thesis_value
+from dropout_uncertainty.judging.results import Result, listed, thesis_value
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.settings import config_diff
-from dropout_uncertainty.stats import CONFIDENCE, Interval, in_words, median_interval, t_interval
+from dropout_uncertainty.stats import Interval, in_words, median_interval, share_interval, t_interval
 
 __all__ = [
     "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "check_quick_deep", "cpu_seconds",
     "doubt_and_gradient",
     "excess_on_predictable", "fitting_table", "from_arrays", "from_records", "load", "original", "repeats", "results",
-    "run_time_table", "search_table", "share_interval", "share_solved", "solved_table", "steps_held",
+    "run_time_table", "search_table", "share_solved", "solved_table", "steps_held",
     "steps_predicted", "time_table",
 ]  # fmt: skip
 
@@ -170,16 +170,6 @@ class Learning:
         return share_interval(share[~np.isnan(share)] >= KEPT)
 
 
-def share_interval(flags: Sequence[bool] | np.ndarray) -> Interval:
-    """Return the share of true flags with Wilson's interval, which stays within [0, 1] and is not empty at its ends."""
-    flags = np.asarray(flags, bool)
-    n = len(flags)
-    if n == 0:
-        return Interval(np.nan, np.nan, np.nan, 0)
-    limits = scipy_stats.binomtest(int(flags.sum()), n).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(float(flags.mean()), float(limits.low), float(limits.high), n)
-
-
 def load(config: str, folder: Path | None = None) -> Learning | None:
     """Return the published repetitions (seeds below 100) of a config; None if there are none yet.
 
@@ -191,7 +181,7 @@ def load(config: str, folder: Path | None = None) -> Learning | None:
     """
     best = None
     for name in (config, *(longer for longer in LONGER if longer.startswith(f"{config}-"))):
-        found = [r for r in records.find(EXPERIMENT, name=name, folder=folder) if max(r.seeds) < 100]
+        found = records.find(EXPERIMENT, name=name, folder=folder, published=True)
         seeds = {seed for record in found for seed in record.seeds}
         if found and (best is None or seeds >= set(best.seeds)):
             best = from_records(config, found)
@@ -207,11 +197,9 @@ def original() -> Learning:
 
 def from_records(config: str, found: Sequence[Record]) -> Learning:
     """Return the repetitions that some records of one config hold."""
-    names = found[0].arrays.keys()
-    arrays = {name: np.concatenate([record.arrays[name] for record in found]) for name in names}
+    seeds, arrays = records.joined(found)
     plant = dict(found[0].header["config"]["plant"])
     plant["start_mean"] = tuple(plant["start_mean"])
-    seeds = [seed for record in found for seed in record.seeds]
     return from_arrays(config, CartPole(**plant), arrays, seeds, found)
 
 
@@ -350,13 +338,7 @@ def _results(learning: Learning, name: str) -> list[Result]:
             (f"solved-by-{trial}", learning.solved_by(trial), "share", f"repetitions solved by trial {trial}"),
             (f"cost-at-{trial}", learning.cost_at(trial), "cost per step", f"mean cost of trial {trial}"),
         ]
-    return [
-        measured(
-            f"{name}/{kind}", interval, learning.records,
-            unit=unit, statistic=statistic, config=learning.config,
-        )
-        for kind, interval, unit, statistic in statistics
-    ]  # fmt: skip
+    return listed(name, statistics, learning.records, learning.config)
 
 
 def fitting(learning: Learning, trial: int) -> list[tuple[str, str, str, Interval]]:
@@ -374,14 +356,13 @@ def fitting(learning: Learning, trial: int) -> list[tuple[str, str, str, Interva
 
 
 def _fitting_results(learning: Learning, name: str) -> list[Result]:
-    return [
-        measured(
-            f"{name}/{kind}-after-{trial}", interval, learning.records,
-            unit=unit, statistic=f"{words}, policy after {trial} trials", config=learning.config,
-        )
-        for trial in PANELS if trial <= learning.trials
+    rows = [
+        (f"{kind}-after-{trial}", interval, unit, f"{words}, policy after {trial} trials")
+        for trial in PANELS
+        if trial <= learning.trials
         for kind, unit, words, interval in fitting(learning, trial)
-    ]  # fmt: skip
+    ]
+    return listed(name, rows, learning.records, learning.config)
 
 
 def fitting_table(learnings: Sequence[Learning]) -> tuple[list[str], list[list[object]]]:
@@ -404,22 +385,15 @@ def solved_table(learnings: Sequence[Learning], trials: Sequence[int]) -> tuple[
     cells: list[list[object]] = []
     for learning in learnings:
         printed = thesis_value(f"figure-5.7/{NAMES.get(learning.config, learning.config)}/trials-to-solve")
-        value, low, high, n = learning.trials_to_solve
-        limits = f" [{_trial(low, learning)}, {_trial(high, learning)}]" if n > 1 else ""
+        ours = in_words(learning.trials_to_solve, ".0f", unbounded=f"> {learning.trials}")
         shares = [_share(learning.solved_by(t)) if t <= learning.trials else None for t in trials]
-        ours = _trial(value, learning) + limits
-        cells.append([f"{learning.label} ({n})", printed and f"{printed:g}", ours, *shares, _share(learning.kept)])
+        label = f"{learning.label} ({len(learning.seeds)})"
+        cells.append([label, printed and f"{printed:g}", ours, *shares, _share(learning.kept)])
     return heads, cells
 
 
-def _trial(value: float, learning: Learning) -> str:
-    return f"{value:.0f}" if np.isfinite(value) else f"> {learning.trials}"
-
-
 def _share(interval: Interval) -> str | None:
-    if interval.n == 0:
-        return None
-    return f"{interval.value:.0%} [{interval.low:.0%}, {interval.high:.0%}]"
+    return in_words(interval, ".0%") if interval.n else None
 
 
 def time_table(learning: Learning, trials: Sequence[int]) -> tuple[list[str], list[list[object]]]:

@@ -18,31 +18,24 @@ from dropout_uncertainty.data_efficiency.report.analysis import (
     steps_predicted,
 )
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Kind, Measured, Statement, from_range, on_average, shifted
+from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, from_range, needed, on_average, shifted
 from dropout_uncertainty.stats import (
     Statistic,
     bootstrap_estimate,
+    common,
     difference_of_shares,
     share_estimate,
     smaller_median,
     t_interval,
 )
 
-__all__ = ["DOUBT", "MARGIN_COST", "MARGIN_LOG", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "dearer", "stated"]
+__all__ = ["DOUBT", "MARGIN_COST", "MARGIN_LOG", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "dearer"]
 
 CHAPTER, DOUBT = "5_4_data_efficiency", "5_4_what_doubt_is_worth"
 #: Margins: of the mean cost per step of trials 1-25, of shares, of trials to solve, and of logarithms of deviations.
 MARGIN_COST, MARGIN_SHARE, MARGIN_TRIALS, MARGIN_LOG = 0.05, 0.1, 3.0, math.log(1.1)
 
-Measure = Callable[[Path | None], Measured | None]
-
-
-def stated(
-    identifier: str, text: str, where: str, kind: Kind, margin: float, measure: Measure, *,
-    unit: str = "", thesis: float | None = None, chapter: str = CHAPTER, primary: bool = False, would_test: str = "",
-) -> Statement:  # fmt: skip
-    """Return a statement of section 5.4."""
-    return Statement(identifier, text, where, kind, margin, chapter, measure, unit, thesis, primary, would_test)
+stated = partial(Statement, chapter=CHAPTER)
 
 
 def cost_of_learning(learning: Learning, trials: int = 25) -> Float[np.ndarray, " R"]:
@@ -59,17 +52,15 @@ def half(flags: np.ndarray, learning: Learning) -> Measured:
     return Measured(estimate, shifted(estimate.interval, 0.5), learning.records)
 
 
-def solved_by(config: str, trial: int, folder: Path | None) -> Measured | None:
+def solved_by(config: str, trial: int, folder: Path | None) -> Measured:
     """Return the share of repetitions solved by a trial, less one half."""
-    learning = load(config, folder)
-    return half(learning.first_solved <= trial, learning) if learning else None
+    learning = needed(load(config, folder))
+    return half(learning.first_solved <= trial, learning)
 
 
-def trials_to_solve(config: str, low: float, high: float, folder: Path | None) -> Measured | None:
+def trials_to_solve(config: str, low: float, high: float, folder: Path | None) -> Measured:
     """Return how far the trial by which half of the repetitions are solved lies outside a printed range."""
-    learning = load(config, folder)
-    if learning is None:
-        return None
+    learning = needed(load(config, folder))
     least, most = _least(learning), learning.first_solved
     trial = bootstrap_estimate(lambda i: smaller_median(least[i]), len(most), most=lambda i: smaller_median(most[i]))
     return Measured(from_range(trial, low, high), trial.interval, learning.records)
@@ -80,11 +71,9 @@ def _least(learning: Learning) -> Float[np.ndarray, " R"]:
     return np.minimum(learning.first_solved, learning.trials + 1)
 
 
-def times_as_many(first: str, second: str, claimed: float, folder: Path | None) -> Measured | None:
+def times_as_many(first: str, second: str, claimed: float, folder: Path | None) -> Measured:
     """Return a learner's trials to solve by those of another, both at the median, less what is claimed."""
-    one, two = load(first, folder), load(second, folder)
-    if one is None or two is None:
-        return None
+    one, two = (needed(load(name, folder)) for name in (first, second))
 
     def ratio(above: np.ndarray, below: np.ndarray) -> Statistic:
         return lambda i, j: smaller_median(above[i]) / smaller_median(below[j]) - claimed
@@ -128,20 +117,18 @@ def of_deep(letters: str, name: str) -> list[Statement]:
 PANEL = "deep-pilco-as-written"
 
 
-def panel(quantity: Callable[[Learning], np.ndarray], claimed: float, folder: Path | None) -> Measured | None:
+def panel(quantity: Callable[[Learning], np.ndarray], claimed: float, folder: Path | None) -> Measured:
     """Return a quantity of each repetition less what is claimed; that of our setting is shown beside."""
-    learning = load(PANEL, folder)
-    if learning is None:
-        return None
+    learning = needed(load(PANEL, folder))
     ours = load("deep-pilco-ours", folder)
     beside = {"our setting": t_interval(quantity(ours))} if ours else {}
     return on_average(quantity(learning), learning.records, claimed, beside)
 
 
-def failed(folder: Path | None) -> Measured | None:
+def failed(folder: Path | None) -> Measured:
     """Return the share of repetitions whose policy, after one trial, fails in most trials; less one half."""
-    learning = load(PANEL, folder)
-    return half(share_solved(learning, 1) < 0.5, learning) if learning else None
+    learning = needed(load(PANEL, folder))
+    return half(share_solved(learning, 1) < 0.5, learning)
 
 
 def _grown(quantity: Callable[[Learning, int], np.ndarray], to: int, since: int) -> Callable[[Learning], np.ndarray]:
@@ -174,34 +161,34 @@ FIGURE_5_8 = [
 # ------------------------------------------------------------------ doubt
 
 
-def dearer(first: tuple[str, ...], second: str, trials: int, folder: Path | None) -> Measured | None:
+def apart(
+    quantity: Callable[[Learning], Float[np.ndarray, " R"]], first: Learning, second: Learning
+) -> Float[np.ndarray, " R"]:
+    """Return a quantity of one learner less that of another, for each seed that both have."""
+    one, two = common(first.seeds, second.seeds)
+    return quantity(first)[one] - quantity(second)[two]
+
+
+def dearer(first: tuple[str, ...], second: str, trials: int, folder: Path | None) -> Measured:
     """Return the cost of learning of the first config that has records less that of another, paired by seed."""
-    one = next(filter(None, (load(name, folder) for name in first)), None)
-    two = load(second, folder)
-    if one is None or two is None:
-        return None
+    one = needed(next(filter(None, (load(name, folder) for name in first)), None))
+    two = needed(load(second, folder))
     until = min(trials, one.trials, two.trials)
-    costs = [dict(zip(x.seeds, cost_of_learning(x, until), strict=True)) for x in (one, two)]
-    differences = [costs[0][seed] - costs[1][seed] for seed in one.seeds if seed in costs[1]]
-    return on_average(differences, [*one.records, *two.records])
+    return on_average(apart(lambda x: cost_of_learning(x, until), one, two), [*one.records, *two.records])
 
 
-def promised(folder: Path | None) -> Measured | None:
+def promised(folder: Path | None) -> Measured:
     """Return by how much the trials of Deep PILCO without dropout cost more than its model said."""
-    learning = load("doubt/no-dropout", folder) or load("what-matters/no-dropout", folder)
-    if learning is None:
-        return None
+    learning = needed(load("doubt/no-dropout", folder) or load("what-matters/no-dropout", folder))
     return on_average(learning.broken_promise, learning.records)
 
 
-def fades(config: str, folder: Path | None) -> Measured | None:
+def fades(config: str, folder: Path | None) -> Measured:
     """Return by how much a model's predictions are right more often in the first fifth of a trial than in the last.
 
     Right is a predicted mean angle that puts the tip within the width of the cost of where it then was; of trials 1-5.
     """
-    learning = load(config, folder)
-    if learning is None:
-        return None
+    learning = needed(load(config, folder))
     trials = [trial for trial in LATER if trial <= learning.trials]
     true, mean = (learning.arrays[name][:, trials, 1:, 3].astype(float) for name in ("states", "predicted_mean"))
     right = np.abs(true - mean) * learning.plant.pole_length < learning.plant.cost_width
@@ -209,33 +196,28 @@ def fades(config: str, folder: Path | None) -> Measured | None:
     return on_average(right[..., :fifth].mean((1, 2)) - right[..., -fifth:].mean((1, 2)), learning.records)
 
 
-def predicts_better(first: str, second: str, folder: Path | None) -> Measured | None:
+def predicts_better(first: str, second: str, folder: Path | None) -> Measured:
     """Return the log ratio of two learners' root mean squared errors of the predicted angle, paired by seed."""
-    found = [load(name, folder) for name in (first, second)]
-    if found[0] is None or found[1] is None:
-        return None
-    errors = []
-    for x in (found[0], found[1]):
+    one, two = (needed(load(name, folder)) for name in (first, second))
+
+    def error(x: Learning) -> np.ndarray:
         missed = x.arrays["states"][:, 1:, 1:, 3].astype(float) - x.arrays["predicted_mean"][:, 1:, 1:, 3]
-        errors.append(dict(zip(x.seeds, np.log(np.square(missed).mean((1, 2))) / 2, strict=True)))
-    differences = [errors[0][seed] - errors[1][seed] for seed in found[0].seeds if seed in errors[1]]
-    return on_average(differences, [*found[0].records, *found[1].records])
+        return np.log(np.square(missed).mean((1, 2))) / 2
+
+    return on_average(apart(error, one, two), [*one.records, *two.records])
 
 
-def solved_more(first: str, second: str, trial: int, folder: Path | None) -> Measured | None:
+def solved_more(first: str, second: str, trial: int, folder: Path | None) -> Measured:
     """Return the share of a learner's repetitions that are solved by a trial less that of another learner."""
-    one, two = load(first, folder), load(second, folder)
-    if one is None or two is None:
-        return None
+    one, two = (needed(load(name, folder)) for name in (first, second))
     difference = difference_of_shares(one.first_solved <= trial, two.first_solved <= trial)
     return Measured(difference, difference.interval, [*one.records, *two.records])
 
 
-def gradient(which: int, folder: Path | None) -> Measured | None:
+def gradient(which: int, folder: Path | None) -> Measured:
     """Return one of the two statistics of ``analysis.excess_on_predictable``."""
-    learning = load("pilco-paper", folder)
-    if learning is None or "search_variance" not in learning.arrays:
-        return None
+    learning = needed(load("pilco-paper", folder))
+    needed(learning.arrays.get("search_variance"))
     return on_average(excess_on_predictable(learning)[which], learning.records)
 
 

@@ -17,7 +17,7 @@ from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import Masks
 from dropout_uncertainty.exploration.deep_sea.network import CellNetwork
 from dropout_uncertainty.exploration.deep_sea.world import ACTIONS, DeepSea, cell_count, random_mapping
-from dropout_uncertainty.exploration.policies import Chance, Policy
+from dropout_uncertainty.exploration.policies import Chance, Policy, gumbel
 from dropout_uncertainty.exploration.q_network import MaskStream
 from dropout_uncertainty.exploration.replay import ReplayMemory
 
@@ -104,18 +104,14 @@ class Agent:
         self.rows = self.memory.plan(replay, before, extra=0).rows
         self.slots = self.memory.plan(replay[..., :1], np.ones(moves, dtype=bool), extra=0).slots
         policy = self._uniform("policy", moves, 2 + ACTIONS)
-        with np.errstate(divide="ignore"):
-            self.chance = policy[..., 0].T, policy[..., 1].T, -np.log(-np.log(policy[..., 2:])).swapaxes(0, 1)
+        self.chance = policy[..., 0].T, policy[..., 1].T, gumbel(policy[..., 2:]).swapaxes(0, 1)
         self.follows = (self._uniform("member", EPISODES) * self.members).astype(np.int64).T
         self.learns = (self._uniform("bootstrap", moves, self.members) < self.share).swapaxes(0, 1)
         self.masks = self._draws("learning", moves, 2 * self.batch)
         self.draws = self._draws("acting", EPISODES if self.held == "episode" else moves, 1)
 
     def _uniform(self, name: str, *shape: int) -> Float[np.ndarray, "R ..."]:
-        def draw(g: torch.Generator) -> Tensor:
-            return torch.rand(shape, dtype=torch.float64, generator=g)
-
-        return rng.stacked(draw, self.seeds, name, "deep-sea", self.block).numpy()
+        return rng.uniform(self.seeds, shape, name, "deep-sea", self.block).numpy()
 
     def _draws(self, name: str, count: int, rows: int) -> MaskStream:
         """Return a stream of ``count`` times ``rows`` weight draws per learner."""

@@ -7,6 +7,7 @@ first few, a replica goes on until it holds over at least ``WINDOW`` episodes, a
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from dropout_uncertainty.exploration.deep_sea.agent import EPISODES, HELD, Agent
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
 from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import Unit, precision_dtype
+from dropout_uncertainty.runs.unit import precision_dtype
 from dropout_uncertainty.settings import idle, of_type, tidy
 
 __all__ = [
@@ -82,7 +83,6 @@ class Config:
     """Weight decay, divided by the batch size."""
 
     def __post_init__(self) -> None:
-        tidy(self)
         check(self)
 
 
@@ -253,9 +253,8 @@ class Diving:
         }
 
 
-def start(config: Config, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> Diving:
-    """Return the process of one unit."""
-    return Diving(config, seeds, device=device, precision=precision)
+#: Makes the process of one unit.
+start = Diving
 
 
 def bytes_per_seed(config: Config) -> float:
@@ -273,8 +272,5 @@ def _sweep(single: bool, seeds: int) -> Sweep:
 SWEEPS = _sweep(single=True, seeds=40), _sweep(single=False, seeds=10)
 
 
-def units(
-    name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None
-) -> list[Unit]:
-    """Return the units of a named config, as `sweep.units` does."""
-    return sweep.units(SWEEPS, name, seeds, device, precision)
+#: The units of a named config.
+units = partial(sweep.units, SWEEPS)

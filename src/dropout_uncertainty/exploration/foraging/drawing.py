@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
@@ -135,15 +134,11 @@ def rollout(
     ``choose`` gets what the agents see [R, 27] and the tick (1, 2, ...) and returns actions [R]. A seed places and
     renews the items as it does in the experiments.
     """
-    layout = rng.stacked(lambda g: _uniform(g, w.ITEMS, 3), seeds, "environment", "start")
-    world, spawns = World(layout.numpy(), rules=rules), CHUNK // w.SPAWN_PERIOD
+    world = World(w.start_numbers(seeds), rules=rules)
     while True:
         tick = world.clock + 1
         if (tick - 1) % CHUNK == 0:
-            drawn = rng.stacked(
-                lambda g: _uniform(g, w.ITEMS + 4 * spawns), seeds, "environment", tick // CHUNK
-            ).numpy()
-            ageing, spawning = drawn[:, : w.ITEMS], drawn[:, w.ITEMS :].reshape(-1, spawns, 4)
+            ageing, spawning = w.coming_numbers(seeds, tick // CHUNK, CHUNK)
         readings = world.sense()
         actions = choose(world.inputs(readings)[:, 0], tick)[:, None]
         outcome = world.step(actions, ageing, spawning[:, (tick - 1) % CHUNK // w.SPAWN_PERIOD])
@@ -160,7 +155,7 @@ def figure_5_3_scene(first_seed: int = 100, seeds: int = 20, ticks: int = 3000) 
         ValueError: if that does not happen within ``ticks``.
     """
     names = range(first_seed, first_seed + seeds)
-    uniform = rng.stacked(lambda g: _uniform(g, ticks), names, "policy").numpy()
+    uniform = rng.uniform(names, (ticks,), "policy").numpy()
     moves = rollout(names, lambda _inputs, tick: (uniform[:, tick - 1] * len(w.ACTIONS)).astype(np.int64))
     for _, (world, _outcome, _reward) in zip(range(ticks), moves, strict=False):
         there = (world.x < LOWER_LEFT[0]) & (world.y > LOWER_LEFT[1]) & (np.abs(world.angle - NORTH_WEST) < 0.2)
@@ -169,7 +164,3 @@ def figure_5_3_scene(first_seed: int = 100, seeds: int = 20, ticks: int = 3000) 
             if {w.WALL, w.FOOD, w.POISON} <= set(scene.sensed_kind[0].tolist()):
                 return scene
     raise ValueError(f"no state like Figure 5.3 within {ticks} ticks of {seeds} worlds: allow more of either")
-
-
-def _uniform(generator: torch.Generator, *shape: int) -> torch.Tensor:
-    return torch.rand(*shape, dtype=torch.float64, generator=generator)

@@ -6,6 +6,7 @@ what looks like a slip, there is a switch in ``Rules``. Lengths are in pixels of
 down, angles in radians, and an agent at angle θ faces (sin θ, cos θ). One tick: ``sense``, choose actions, ``step``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,10 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
+from dropout_uncertainty import rng
 from dropout_uncertainty.settings import of_type, tidy
 
 __all__ = [
     "ACTIONS", "EYES", "FOOD", "INPUTS", "NOTHING", "POISON", "WALL", "WALLS", "Outcome", "Readings", "Rules", "World",
+    "coming_numbers", "start_numbers",
 ]  # fmt: skip
 
 WIDTH, HEIGHT = 700.0, 500.0
@@ -82,6 +85,18 @@ class Outcome(NamedTuple):
     """[R, 30] whether the item of the slot was taken away for its age."""
     spawned: NDArray
     """[R] slot of the new item, -1 for none."""
+
+
+def start_numbers(seeds: Sequence[int]) -> Float[np.ndarray, "R 30 3"]:
+    """Return the uniform numbers that lay out the world of each seed."""
+    return rng.uniform(seeds, (ITEMS, 3), "environment", "start").numpy()
+
+
+def coming_numbers(seeds: Sequence[int], chunk: int, ticks: int) -> tuple[NDArray, NDArray]:
+    """Return the uniform numbers of so many ticks: of ageing [R, 30], due at their end, and of new items [R, n, 4]."""
+    spawns = ticks // SPAWN_PERIOD
+    uniform = rng.uniform(seeds, (ITEMS + 4 * spawns,), "environment", chunk).numpy()
+    return uniform[:, :ITEMS], uniform[:, ITEMS:].reshape(-1, spawns, 4)
 
 
 class World:

@@ -15,7 +15,9 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import (
     Interval,
     bootstrap_interval,
+    common,
     first_crossings,
+    in_words,
     median_interval,
     paired_difference,
     smaller_median,
@@ -25,7 +27,7 @@ from dropout_uncertainty.stats import (
 __all__ = [
     "BLOCKS", "BURN_IN", "EARLY", "LABELS", "LATE", "TARGET", "Agents", "Curves", "advantage", "batches", "block_table",
     "check_quick", "compare", "crossing_table", "difference_table", "from_arrays", "from_records", "held_out_gap",
-    "held_out_table", "load", "mean_crossing", "median", "original", "paired", "results", "smoothed",
+    "held_out_table", "load", "mean_crossing", "original", "paired", "results", "smoothed",
 ]  # fmt: skip
 
 #: How each agent is called in figures and tables.
@@ -107,11 +109,11 @@ class Curves:
         values = self.arrays[name]
         return values[:, values.shape[1] // 2 :].astype(float).mean(1)
 
-    def only(self, seeds: Sequence[int]) -> "Curves":
-        """Return the runs of some seeds, in their order."""
-        rows = [self.seeds.index(seed) for seed in seeds]
-        arrays = {name: values[rows] for name, values in self.arrays.items() if name != "weights"}
-        return replace(self, average=self.average[rows], seeds=tuple(seeds), arrays=arrays)
+    def only(self, places: Sequence[int]) -> "Curves":
+        """Return some of the runs, by their places."""
+        arrays = {name: values[places] for name, values in self.arrays.items() if name != "weights"}
+        seeds = tuple(self.seeds[place] for place in places)
+        return replace(self, average=self.average[places], seeds=seeds, arrays=arrays)
 
 
 #: The agents of one config, by policy.
@@ -129,7 +131,7 @@ def load(name: str, folder: Path | None = None, *, published: bool = True) -> Ag
     names = [name] if name in CONFIGS else [config for config in CONFIGS if config.startswith(f"{name}-")]
     agents: Agents = {}
     for config in names:
-        found = [r for r in records.find(EXPERIMENT, name=config, folder=folder) if (max(r.seeds) < 100) == published]
+        found = records.find(EXPERIMENT, name=config, folder=folder, published=published)
         if found:
             agents |= from_records(config, found)
     return agents
@@ -137,9 +139,8 @@ def load(name: str, folder: Path | None = None, *, published: bool = True) -> Ag
 
 def from_records(name: str, found: Sequence[Record]) -> Agents:
     """Return the agents whose runs some records of one config hold, all seeds together, but for final weights."""
-    names = [key for key in found[0].arrays if key != "weights"]
-    arrays = {key: np.concatenate([record.arrays[key] for record in found]) for key in names}
-    return from_arrays(name, CONFIGS[name], arrays, [seed for record in found for seed in record.seeds], found)
+    seeds, arrays = records.joined(found, [key for key in found[0].arrays if key != "weights"])
+    return from_arrays(name, CONFIGS[name], arrays, seeds, found)
 
 
 def from_arrays(
@@ -200,15 +201,10 @@ def mean_crossing(curves: Curves, target: float = TARGET) -> float:
     return float(first_crossings(curves.average[:, later].mean(0), target, above=True)) + 1
 
 
-def median(values: np.ndarray) -> Interval:
-    """Return the median over runs with its bootstrap interval; runs that never arrive count as inf."""
-    return median_interval(values)
-
-
 def paired(*curves: Curves) -> tuple[Curves, ...]:
     """Return the runs of the seeds that all of some curves have, in one order."""
-    seeds = [seed for seed in curves[0].seeds if all(seed in other.seeds for other in curves)]
-    return tuple(one.only(seeds) for one in curves)
+    places = common(*(one.seeds for one in curves))
+    return tuple(one.only(mine) for one, mine in zip(curves, places, strict=True))
 
 
 def advantage(agents: Agents, first: str, second: str) -> Interval:
@@ -267,8 +263,8 @@ def _results(curves: Curves, suffix: str) -> list[Result]:
     crossing = "median over runs of the first point of the curve at or above 1, from the end of the burn-in"
     ticks = curves.crossings()
     statistics = [
-        ("/first-crossing", median(batches(ticks)), f"batches of {BLOCK} ticks", crossing),
-        ("/first-crossing/unit-200", median(batches(ticks, 200)), "batches of 200 ticks", crossing),
+        ("/first-crossing", median_interval(batches(ticks)), f"batches of {BLOCK} ticks", crossing),
+        ("/first-crossing/unit-200", median_interval(batches(ticks, 200)), "batches of 200 ticks", crossing),
     ]
     for start, stop in BLOCKS:
         block = t_interval(curves.mean(start, stop))
@@ -282,14 +278,6 @@ def _results(curves: Curves, suffix: str) -> list[Result]:
     ]  # fmt: skip
 
 
-def _cell(interval: Interval, digits: int) -> str:
-    value, low, high, n = interval
-    if not np.isfinite(value):
-        return "not reached"
-    limits = [f"{limit:.{digits}f}" if np.isfinite(limit) else "not reached" for limit in (low, high)]
-    return f"{value:.{digits}f}" + (f" [{limits[0]}, {limits[1]}]" if n > 1 else "")
-
-
 def crossing_table(groups: Mapping[str, Agents], target: float = TARGET) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells: when the median run of each agent reaches ``target``, in ticks and in both units.
 
@@ -300,11 +288,10 @@ def crossing_table(groups: Mapping[str, Agents], target: float = TARGET) -> tupl
     for group, agents in groups.items():
         for curves in agents.values():
             ticks, printed = curves.crossings(target), thesis_value(f"figure-5.4/{curves.agent}/first-crossing")
-            numbers = [_cell(median(batches(ticks, unit)), 0) for unit in (500, 200)]
+            numbers = [in_words(median_interval(batches(ticks, unit)), ".0f") for unit in (500, 200)]
             reached = f"{np.isfinite(ticks).sum()} of {len(ticks)}"
-            cells.append(
-                [curves.label, group, printed and f"{printed:.0f}", *numbers, _cell(median(ticks), 0), reached]
-            )
+            numbers.append(in_words(median_interval(ticks), ".0f"))
+            cells.append([curves.label, group, printed and f"{printed:.0f}", *numbers, reached])
     return heads, cells
 
 
@@ -317,7 +304,7 @@ def block_table(
     for group, agents in groups.items():
         for curves in agents.values():
             means = [curves.mean(*block) for block in blocks]
-            shown = [_cell(t_interval(m[~np.isnan(m)]), 3) if not np.isnan(m).all() else None for m in means]
+            shown = [in_words(t_interval(m[~np.isnan(m)]), ".3f") if not np.isnan(m).all() else None for m in means]
             cells.append([curves.label, group, *shown])
     return heads, cells
 
@@ -328,7 +315,9 @@ def difference_table(agents: Agents, reference: str) -> tuple[list[str], list[li
     ranges = [ticks for ticks in (EARLY, LATE) if ticks[0] < last]
     heads = ["", *(f"ticks {start:,} to {min(stop, last):,}" for start, stop in ranges)]
     others = [curves for name, curves in agents.items() if name != reference]
-    return heads, [[c.label, *(_cell(compare(c, agents[reference], *ticks), 3) for ticks in ranges)] for c in others]
+    return heads, [
+        [c.label, *(in_words(compare(c, agents[reference], *ticks), ".3f") for ticks in ranges)] for c in others
+    ]
 
 
 def held_out_table(networks: Mapping[str, Curves]) -> tuple[list[str], list[list[object]]]:
@@ -337,5 +326,5 @@ def held_out_table(networks: Mapping[str, Curves]) -> tuple[list[str], list[list
     cells: list[list[object]] = []
     for name, curves in networks.items():
         parts = [curves.later("learned_td_error"), curves.later("held_out_td_error"), held_out_gap(curves)]
-        cells.append([name, *(_cell(t_interval(part), 3) for part in [*parts, curves.later("reward")])])
+        cells.append([name, *(in_words(t_interval(part), ".3f") for part in [*parts, curves.later("reward")])])
     return heads, cells

@@ -15,7 +15,7 @@ from dropout_uncertainty.exploration.config import make_policy
 from dropout_uncertainty.exploration.experiment import CONFIGS, EXPERIMENT
 from dropout_uncertainty.exploration.foraging import world as w
 from dropout_uncertainty.exploration.foraging.drawing import KIND_COLOURS, Scene, rollout
-from dropout_uncertainty.exploration.policies import Chance
+from dropout_uncertainty.exploration.policies import Chance, gumbel
 from dropout_uncertainty.exploration.q_network import MaskStream, QNetwork
 from dropout_uncertainty.exploration.report.analysis import LABELS
 from dropout_uncertainty.page.plotting import COLOURS
@@ -75,7 +75,7 @@ class TrainedAgent:
             draws, number = max(1, CHUNK // self.hold), chunk // max(1, self.hold // CHUNK)
             self.masks = MaskStream([self.seed], self.network.sizes[:-1], self.drop, draws, 1, "animation", number)
             uniform = torch.rand(CHUNK, 2 + C, dtype=torch.float64, generator=self._generator(chunk)).numpy()
-            self.chance = uniform[:, :1], uniform[:, 1:2], -np.log(-np.log(uniform[:, None, 2:]))
+            self.chance = uniform[:, :1], uniform[:, 1:2], gumbel(uniform[:, None, 2:])
         state = self.state(inputs).astype(np.float32)
         rows = torch.from_numpy(np.stack((state, state), axis=1))
         drawn, plain = (
@@ -133,7 +133,7 @@ def compare(names: Sequence[str], *, seed: int = 100, ticks: int = 600, folder: 
     """
     runs = {}
     for name in names:
-        published = [r for r in records.find(EXPERIMENT, name=name, folder=folder) if max(r.seeds) < 100]
+        published = records.find(EXPERIMENT, name=name, folder=folder, published=True)
         if not published:
             command = f"dropout-uncertainty run {EXPERIMENT} --config {name} --seeds 0-9"
             raise RecordError(f"there is no record of {EXPERIMENT}/{name}: `{command}` makes it")

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dropout_uncertainty.exploration.report.deep_sea import analysis as sea
-from dropout_uncertainty.exploration.report.deep_sea.dives import HORIZON, LABELS, Seas, share_interval
+from dropout_uncertainty.exploration.report.deep_sea.dives import HORIZON, LABELS, Seas
 from dropout_uncertainty.exploration.report.statements import STATEMENTS
 from dropout_uncertainty.judging.rules import Verdict
 from dropout_uncertainty.judging.statements import Judged, judge
-from dropout_uncertainty.stats import Estimate
+from dropout_uncertainty.stats import Estimate, in_digits, share_interval
 
 __all__ = [
     "COMPARED", "READINGS", "Compared", "answer", "beside_a_coin", "exploration", "found", "judged", "sentence",
@@ -93,7 +93,7 @@ def sentence(j: Judged) -> str:
 def number(found: Estimate, words: Words, level: int = 95) -> str:
     """Return a difference with its interval; equality is judged by that of 90 %."""
     limits = found[1:3] if level == 95 else found[3:5]
-    value, low, high = (f"{round(x, 3) + 0.0:+.3f}".replace("-", "−") for x in (found.value, *limits))
+    value, low, high = (in_digits(x, "+.3f") for x in (found.value, *limits))
     return f"{value} {words.unit}, {level} % interval {low} to {high}, {found.n} seeds"
 
 

@@ -22,7 +22,6 @@ from dropout_uncertainty.exploration.report.analysis import (
     batches,
     held_out_gap,
     load,
-    median,
     paired,
     ratio,
 )
@@ -34,7 +33,9 @@ from dropout_uncertainty.judging.statements import (
     Kind,
     Measured,
     Statement,
+    audit,
     audited,
+    needed,
     nothing,
     on_average,
     shifted,
@@ -42,6 +43,7 @@ from dropout_uncertainty.judging.statements import (
 from dropout_uncertainty.stats import (
     bootstrap_estimate,
     mean_estimate,
+    median_interval,
     share_estimate,
     smaller_median,
     t_interval,
@@ -58,10 +60,10 @@ CLAIMED = {agent: printed(f"figure-5.4/{agent}/first-crossing") for agent in ("t
 Pair = tuple[Curves, Curves]
 
 
-def agents(config: str, folder: Path | None, *policies: str) -> tuple[Curves, ...] | None:
-    """Return the curves of some agents of a config, None if one of them has no record."""
+def agents(config: str, folder: Path | None, *policies: str) -> tuple[Curves, ...]:
+    """Return the curves of some agents of a config; raises NotRun if one of them has no record."""
     found = load(config, folder)
-    return tuple(found[name] for name in policies) if set(policies) <= found.keys() else None
+    return tuple(needed(found.get(name)) for name in policies)
 
 
 def records_of(*curves: Curves) -> list:
@@ -72,25 +74,21 @@ def records_of(*curves: Curves) -> list:
 # ------------------------------------------------------------------ Figure 5.4
 
 
-def touched(config: str, folder: Path | None) -> Measured | None:
+def touched(config: str, folder: Path | None) -> Measured:
     """Return the share of Thompson runs that have reached 1 by batch 25, less the half from which "does" begins."""
     found = agents(config, folder, "thompson")
-    if found is None:
-        return None
     by, runs = CLAIMED["thompson"], found[0].crossings()
     half = share_estimate(batches(runs) <= by, 0.5)
     short = share_estimate(batches(runs, 200) <= by, 0.0).interval
     beside = {"batches of 200 ticks": short}
-    if text := agents("as-written", folder, "thompson"):
-        beside["dropout where the text has it"] = share_estimate(batches(text[0].crossings()) <= by, 0.0).interval
+    if text := load("as-written", folder).get("thompson"):
+        beside["dropout where the text has it"] = share_estimate(batches(text.crossings()) <= by, 0.0).interval
     return Measured(half, shifted(half.interval, 0.5), found[0].records, beside)
 
 
-def height(config: str, folder: Path | None) -> Measured | None:
+def height(config: str, folder: Path | None) -> Measured:
     """Return the mean curve of Thompson sampling at batch 25, less 1."""
     found = agents(config, folder, "thompson")
-    if found is None:
-        return None
     ends = {unit: int(BURN_IN + CLAIMED["thompson"] * unit) for unit in (500, 200)}
     above = {unit: mean_estimate(found[0].mean(end - BLOCK, end) - TARGET) for unit, end in ends.items()}
     beside = {"batches of 200 ticks": shifted(above[200].interval, TARGET)}
@@ -102,25 +100,21 @@ def beyond(curves: Curves) -> float:
     return float(batches(curves.ticks)[-1]) + 1
 
 
-def arrival(config: str, folder: Path | None) -> Measured | None:
+def arrival(config: str, folder: Path | None) -> Measured:
     """Return the median batch at which ε-greedy reaches 1, less the printed one."""
     found = agents(config, folder, "epsilon-greedy")
-    if found is None:
-        return None
     when, claimed = batches(found[0].crossings()), CLAIMED["epsilon-greedy"]
     least = np.minimum(when, beyond(found[0]))
     late = bootstrap_estimate(
         lambda i: smaller_median(least[i]) - claimed, len(when), most=lambda i: smaller_median(when[i]) - claimed
     )
-    beside = {"batches of 200 ticks": median(batches(found[0].crossings(), 200))}
+    beside = {"batches of 200 ticks": median_interval(batches(found[0].crossings(), 200))}
     return Measured(late, shifted(late.interval, claimed), found[0].records, beside)
 
 
-def quicker(claimed: float, folder: Path | None) -> Measured | None:
+def quicker(claimed: float, folder: Path | None) -> Measured:
     """Return how many times as many batches ε-greedy needs as Thompson sampling at the median, less what is claimed."""
     found = agents("ours", folder, "thompson", "epsilon-greedy")
-    if found is None:
-        return None
     pair = paired(*found)
     fast, slow = (batches(curves.crossings()) for curves in pair)
     least_fast, least_slow = (np.minimum(when, beyond(x)) for when, x in zip((fast, slow), pair, strict=True))
@@ -130,16 +124,15 @@ def quicker(claimed: float, folder: Path | None) -> Measured | None:
     )  # fmt: skip
     beside = {}
     for words, config in (("one world", "as-demo"), ("dropout where the text has it", "as-written")):
-        if together := agents(config, folder, "thompson", "epsilon-greedy"):
-            beside[words] = advantage({c.agent: c for c in together}, "thompson", "epsilon-greedy")
+        together = load(config, folder)
+        if {"thompson", "epsilon-greedy"} <= together.keys():
+            beside[words] = advantage(together, "thompson", "epsilon-greedy")
     return Measured(difference, shifted(difference.interval, claimed), records_of(*found), beside)
 
 
-def gain(agent: str, folder: Path | None) -> Measured | None:
+def gain(agent: str, folder: Path | None) -> Measured:
     """Return the mean reward over batches 1000-2000 from the burn-in minus that over 600-1000."""
     found = agents("as-demo", folder, agent)
-    if found is None:
-        return None
 
     def later(unit: int) -> np.ndarray:
         start, middle, end = (BURN_IN + unit * count for count in (600, 1000, 2000))
@@ -154,20 +147,16 @@ def late_moves(found: Pair) -> tuple[np.ndarray, ...]:
     return tuple(curves.share("explored", BURN_IN + 1000 * BLOCK, end) for curves in paired(*found))
 
 
-def random_moves(folder: Path | None) -> Measured | None:
+def random_moves(folder: Path | None) -> Measured:
     """Return that share of Thompson sampling less that of ε-greedy."""
     found = agents("as-demo", folder, "thompson", "epsilon-greedy")
-    if found is None:
-        return None
     first, second = late_moves((found[0], found[1]))
     return on_average(first - second, records_of(*found))
 
 
-def only_exploits(folder: Path | None) -> Measured | None:
+def only_exploits(folder: Path | None) -> Measured:
     """Return whether ε-greedy takes no other move than its best after batch 1000."""
     found = agents("as-demo", folder, "thompson", "epsilon-greedy")
-    if found is None:
-        return None
     share = t_interval(late_moves((found[0], found[1]))[1])
     return Measured(audited(share.value == 0).difference, share, found[1].records)
 
@@ -181,39 +170,30 @@ def everywhere(_: Path | None) -> Measured:
 # ------------------------------------------------------------------ agents held against each other
 
 
-def reward(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured | None:
+def reward(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured:
     """Return the reward per move of one of our agents less that of another, paired by seed."""
     found = agents("ours", folder, first, second)
-    if found is None:
-        return None
     one, two = paired(*found)
-    return on_average(one.mean(*ticks) - two.mean(*ticks), records_of(*found))
+    return on_average(one.mean(*ticks) - two.mean(*ticks), records_of(one, two))
 
 
-def widths(quantity: Callable[[Curves], np.ndarray], first: str, second: str, folder: Path | None) -> Measured | None:
+def widths(quantity: Callable[[Curves], np.ndarray], first: str, second: str, folder: Path | None) -> Measured:
     """Return a quantity of one network less that of another (configs "narrow", "wide", "wide-dropout")."""
-    found = [agents(name, folder, "epsilon-greedy") for name in (first, second)]
-    if found[0] is None or found[1] is None:
-        return None
-    one, two = paired(found[0][0], found[1][0])
-    return on_average(quantity(one) - quantity(two), records_of(found[0][0], found[1][0]))
+    one, two = paired(*(agents(name, folder, "epsilon-greedy")[0] for name in (first, second)))
+    return on_average(quantity(one) - quantity(two), records_of(one, two))
 
 
-def contrast(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured | None:
+def contrast(first: str, second: str, ticks: tuple[int, int], folder: Path | None) -> Measured:
     """Return the reward per move of one agent of the two-by-two family less that of another."""
-    found = [next(iter(load(f"two-by-two/{name}", folder).values()), None) for name in (first, second)]
-    if found[0] is None or found[1] is None:
-        return None
-    one, two = paired(found[0], found[1])
-    return on_average(one.mean(*ticks, "reward") - two.mean(*ticks, "reward"), records_of(found[0], found[1]))
+    found = (next(iter(load(f"two-by-two/{name}", folder).values()), None) for name in (first, second))
+    one, two = paired(*map(needed, found))
+    return on_average(one.mean(*ticks, "reward") - two.mean(*ticks, "reward"), records_of(one, two))
 
 
-def deeper(other: str, folder: Path | None) -> Measured | None:
+def deeper(other: str, folder: Path | None) -> Measured:
     """Return the share of seas of size 10 that a draw held for an episode solves, less that of another agent."""
     seas = dives.load(folder)
-    one, two = (seas.get((name, 10)) for name in ("dropout-per-episode", other))
-    if one is None or two is None:
-        return None
+    one, two = (needed(seas.get((name, 10))) for name in ("dropout-per-episode", other))
     difference = deep_sea.difference(one, two)
     return Measured(difference, difference.interval, [*one.records, *two.records])
 
@@ -224,12 +204,8 @@ TEXT, FOOTNOTE, REMARK = "Section 5.3, text to Figure 5.4", "Section 5.3, footno
 STADIE = "runs on the Atari games of Stadie et al. (2015), out of reach here; the thesis quotes the counts"
 
 
-def stated(
-    identifier: str, text: str, where: str, kind: Kind, margin: float,
-    measure: Callable[[Path | None], Measured | None], unit: str = "reward", thesis: float | None = None,
-) -> Statement:  # fmt: skip
-    """Return a statement of the chapter."""
-    return Statement(identifier, text, where, kind, margin, CHAPTER, measure, unit=unit, thesis=thesis)
+stated = partial(Statement, chapter=CHAPTER, unit="reward")
+fact = partial(audit, chapter=CHAPTER)
 
 
 def cut(
@@ -237,43 +213,45 @@ def cut(
     kind: Kind = "more", primary: bool = False,
 ) -> Statement:  # fmt: skip
     """Return a statement about two agents that differ in how they learn, or act, or for how long they hold a draw."""
-    return Statement(
-        identifier, text, where, kind, MARGIN, TWO_BY_TWO, partial(contrast, first, second, ticks), unit="reward",
-        primary=primary, would_test="20 runs of both agents in worlds of their own",
+    return stated(
+        identifier, text, where, kind, MARGIN, partial(contrast, first, second, ticks), primary=primary,
+        would_test="20 runs of both agents in worlds of their own", chapter=TWO_BY_TWO,
     )  # fmt: skip
 
 
 def dived(identifier: str, text: str, other: str, *, primary: bool = False) -> Statement:
     """Return a statement about the agent that holds a draw for an episode and another one, in Deep Sea."""
-    return Statement(
-        identifier, text, "Section 5.3, first paragraph", "more", MARGIN_SHARE, TWO_BY_TWO, partial(deeper, other),
-        unit="share", primary=primary, would_test="20 runs of both agents in Deep Sea of size 10, 2,000 episodes each",
+    return stated(
+        identifier, text, "Section 5.3, first paragraph", "more", MARGIN_SHARE, partial(deeper, other), unit="share",
+        primary=primary, would_test="20 runs of both agents in Deep Sea of size 10, 2,000 episodes each",
+        chapter=TWO_BY_TWO,
     )  # fmt: skip
 
 
 def quoted(identifier: str, text: str) -> Statement:
     """Return a statement about counts that the thesis quotes from Stadie et al. (2015)."""
-    return Statement(identifier, text, REMARK, "more", 0.0, CHAPTER, nothing, unit="games", would_test=STADIE)
+    return stated(identifier, text, REMARK, "more", 0.0, nothing, unit="games", would_test=STADIE)
 
 
 STATEMENTS: list[Statement] = [
     stated("EX1a", "By batch 25 more than half of the runs of Thompson sampling have reached a reward of 1.", TEXT,
-           "more", MARGIN_SHARE, partial(touched, "ours"), "share", 0.5),
+           "more", MARGIN_SHARE, partial(touched, "ours"), unit="share", thesis=0.5),
     stated("EX1b", "At batch 25 the mean curve of Thompson sampling is above 1.", TEXT, "more", MARGIN,
            partial(height, "ours"), thesis=TARGET),
     stated("EX1c", "EX1a with both agents in one world, as in the original program.", TEXT, "more", MARGIN_SHARE,
-           partial(touched, "as-demo"), "share", 0.5),
+           partial(touched, "as-demo"), unit="share", thesis=0.5),
     stated("EX1d", "EX1b with both agents in one world.", TEXT, "more", MARGIN, partial(height, "as-demo"),
            thesis=TARGET),
     *(
         stated(identifier, f"ε-greedy takes 175 batches to a reward of 1{words}.", TEXT, "value",
-               NEAR * CLAIMED["epsilon-greedy"], partial(arrival, config), "batches", CLAIMED["epsilon-greedy"])
+               NEAR * CLAIMED["epsilon-greedy"], partial(arrival, config), unit="batches",
+               thesis=CLAIMED["epsilon-greedy"])
         for identifier, words, config in (("EX2a", "", "ours"), ("EX2b", ", both agents in one world", "as-demo"))
     ),
     stated("EX2c", "ε-greedy takes seven times as many batches as Thompson sampling.", TEXT, "value", NEAR * 7,
-           partial(quicker, 7.0), "times", 7.0),
+           partial(quicker, 7.0), unit="times", thesis=7.0),
     stated("EX2d", "Thompson sampling is the quicker of the two.", "Section 5.3, second paragraph", "more", NEAR,
-           partial(quicker, 1.0), "times", 1.0),
+           partial(quicker, 1.0), unit="times", thesis=1.0),
     stated("EX3a", "Thompson sampling stops improving after 1000 batches.", FOOTNOTE, "equality", MARGIN,
            partial(gain, "thompson")),
     stated("EX3b", "ε-greedy goes on improving after 1000 batches.", FOOTNOTE, "more", MARGIN,
@@ -281,10 +259,10 @@ STATEMENTS: list[Statement] = [
     cut("EX3c", "That is because Thompson sampling still draws: with masks off while acting it earns more late.",
         FOOTNOTE, "masks-off-late", "dropout-draw", (100_000, 200_000)),
     stated("EX3d", "After 1000 batches Thompson sampling leaves its best move more often than ε-greedy.", FOOTNOTE,
-           "more", MARGIN_SHARE, random_moves, "share"),
-    Statement("EX3e", "ε-greedy only exploits after 1000 batches.", FOOTNOTE, "audit", 0.0, CHAPTER, only_exploits),
-    Statement("EX4", "In the published program dropout stands before every weight layer.",
-              "Section 5.3, fourth paragraph", "audit", 0.0, CHAPTER, everywhere),
+           "more", MARGIN_SHARE, random_moves, unit="share"),
+    fact("EX3e", "ε-greedy only exploits after 1000 batches.", FOOTNOTE, only_exploits),
+    fact("EX4", "In the published program dropout stands before every weight layer.", "Section 5.3, fourth paragraph",
+         everywhere),
     *(
         stated(f"EX5{letter}", f"{words} earns more than Thompson sampling, {when}.", REMARK, "more", MARGIN,
                partial(reward, policy, "thompson", ticks))
@@ -296,9 +274,9 @@ STATEMENTS: list[Statement] = [
         )
     ),
     stated("EX6a", "The wide network over-fits more than the narrow one.", "Section 5.3, fourth paragraph", "more",
-           MARGIN_TD, partial(widths, held_out_gap, "wide", "narrow"), "squared TD error"),
+           MARGIN_TD, partial(widths, held_out_gap, "wide", "narrow"), unit="squared TD error"),
     stated("EX6b", "Dropout lowers the over-fitting of the wide network.", "Section 5.3, second paragraph", "less",
-           MARGIN_TD, partial(widths, held_out_gap, "wide-dropout", "wide"), "squared TD error"),
+           MARGIN_TD, partial(widths, held_out_gap, "wide-dropout", "wide"), unit="squared TD error"),
     stated("EX6c", "The wide network with dropout earns more than the narrow one without.",
            "Section 5.3, fourth paragraph", "more", MARGIN,
            partial(widths, lambda c: c.later("reward"), "wide-dropout", "narrow")),

@@ -4,7 +4,6 @@ Every comparison is a contrast: a weighted sum of the mean rewards of some agent
 that all of them have. The contrasts and their ranges were fixed before the published seeds were run.
 """
 
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from dropout_uncertainty.exploration.experiment import TWO_BY_TWO, units
 from dropout_uncertainty.exploration.report import analysis
 from dropout_uncertainty.exploration.report.analysis import EARLY, Curves
 from dropout_uncertainty.judging.results import Result, measured
-from dropout_uncertainty.runs import execute, executors
+from dropout_uncertainty.page.profiles import computed
 from dropout_uncertainty.settings import config_diff
 from dropout_uncertainty.stats import Interval, in_words, t_interval
 
@@ -106,15 +105,10 @@ def load(folder: Path | None = None, *, quick: bool = False) -> Cells:
 
 def obtain(profile: str) -> Cells:
     """Return the agents that a profile shows: recorded, short runs computed now, or recorded and what is missing."""
-    if profile == "recorded":
-        return load()
-    quick = profile == "quick"
-    prefix, seeds = ("quick/", range(100, 103)) if quick else ("", range(20))
-    work = [unit for name in TWO_BY_TWO for unit in units(prefix + name, seeds)]
-    with tempfile.TemporaryDirectory() as made, executors.processes() as executor:
-        folder = Path(made) if quick else None
-        execute.run(work, executor=executor, folder=folder)
-        return load(folder, quick=quick)
+    quick = [unit for name in TWO_BY_TWO for unit in units(f"quick/{name}", range(100, 103))]
+    full = [unit for name in TWO_BY_TWO for unit in units(name, range(20))]
+    with computed(profile, quick, full) as folder:
+        return load(folder, quick=folder is not None)
 
 
 def differences(cells: Mapping[str, Curves], contrast: Contrast) -> Float[np.ndarray, " R"]:
@@ -123,10 +117,10 @@ def differences(cells: Mapping[str, Curves], contrast: Contrast) -> Float[np.nda
     Raises:
         KeyError: if an agent is missing.
     """
-    agents = {name: cells[name] for name in contrast.weights}
-    seeds = sorted(set.intersection(*(set(curves.seeds) for curves in agents.values())))
-    means = {name: dict(zip(c.seeds, c.mean(*contrast.ticks, "reward"), strict=True)) for name, c in agents.items()}
-    return np.array([sum(weight * means[name][seed] for name, weight in contrast.weights.items()) for seed in seeds])
+    agents = analysis.paired(*(cells[name] for name in contrast.weights))
+    weighted = zip(contrast.weights.values(), agents, strict=True)
+    found = np.sum([weight * curves.mean(*contrast.ticks, "reward") for weight, curves in weighted], axis=0)
+    return found[np.argsort(agents[0].seeds)]
 
 
 def interval(cells: Mapping[str, Curves], contrast: Contrast) -> Interval | None:

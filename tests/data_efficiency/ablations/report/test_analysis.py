@@ -203,7 +203,7 @@ def test_development_seeds_are_left_out(tmp_path):
 
 def test_quick_run_is_held_to_its_bands(tmp_path):
     world(tmp_path)
-    ours, seen, taken = matters.baseline(tmp_path), matters.inside(tmp_path), matters.times(tmp_path)
+    ours, seen, taken = analysis.load(matters.BASELINE, tmp_path), matters.inside(tmp_path), matters.times(tmp_path)
     matters.check_quick(ours, seen, taken)
     timed(tmp_path / "other", (0, 0, 0))
     with pytest.raises(ValueError, match=r"time grows with exponents -?0\.0\d"):

@@ -19,16 +19,15 @@ from dropout_uncertainty.data_efficiency.deep_pilco.particles import MATCHING
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT
 from dropout_uncertainty.data_efficiency.plant.cartpole import STATE_NAMES, CartPole
 from dropout_uncertainty.data_efficiency.report import analysis
-from dropout_uncertainty.data_efficiency.report.analysis import Learning, share_interval
-from dropout_uncertainty.judging.results import Result, measured
+from dropout_uncertainty.data_efficiency.report.analysis import Learning
+from dropout_uncertainty.judging.results import Result, listed, measured
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, in_words, paired_difference, t_interval
+from dropout_uncertainty.stats import Interval, common, paired_difference, share_interval, t_interval
 
 __all__ = [
-    "BASELINE", "NOMINAL", "Comparison", "Inside", "Times", "baseline", "check_quick", "compare", "compared",
+    "BASELINE", "NOMINAL", "Comparison", "Inside", "Times", "check_quick", "compare", "compared",
     "comparisons", "coverage_of_pilco", "factor", "inside", "numbers", "pair", "results", "share_difference", "times",
-    "words",
 ]  # fmt: skip
 
 #: The published record of `OURS`; its first trials are those of the variants' baseline.
@@ -93,11 +92,6 @@ def _joined(a: float, b: float, phi: float) -> float:
     return max(a * a - 2 * phi * a * b + b * b, 0.0) ** 0.5
 
 
-def baseline(folder: Path | None = None) -> Learning | None:
-    """Return the published repetitions of `OURS`; None if there are none yet."""
-    return analysis.load(BASELINE, folder)
-
-
 def compare(name: str, folder: Path | None = None, against: str | None = None) -> Comparison | None:
     """Return a variant beside `OURS`, or beside another variant; None if one has no record or no seed is shared.
 
@@ -105,23 +99,23 @@ def compare(name: str, folder: Path | None = None, against: str | None = None) -
         RecordError: if a record cannot be trusted.
     """
     first = analysis.load(f"{FAMILY}/{name}", folder)
-    second = baseline(folder) if against is None else analysis.load(f"{FAMILY}/{against}", folder)
+    second = analysis.load(BASELINE if against is None else f"{FAMILY}/{against}", folder)
     return pair(name, first, second) if first and second else None
 
 
 def pair(name: str, first: Learning, second: Learning, most: int = TRIALS) -> Comparison | None:
     """Return two runs cut to the seeds and trials that they share; None if they share no seed."""
-    seeds = tuple(seed for seed in first.seeds if seed in second.seeds)
-    if not seeds:
+    one, two = common(first.seeds, second.seeds)
+    if not one:
         return None
     trials = min(first.trials, second.trials, most)
-    return Comparison(name, _cut(first, seeds, trials), _cut(second, seeds, trials))
+    return Comparison(name, _cut(first, one, trials), _cut(second, two, trials))
 
 
-def _cut(learning: Learning, seeds: Sequence[int], trials: int) -> Learning:
-    rows = [learning.seeds.index(seed) for seed in seeds]
-    arrays = {name: learning.arrays[name][rows, : trials + 1] for name in CUT if name in learning.arrays}
-    return replace(learning, costs=learning.costs[rows, : trials + 1], seeds=tuple(seeds), arrays=arrays)
+def _cut(learning: Learning, places: Sequence[int], trials: int) -> Learning:
+    arrays = {name: learning.arrays[name][places, : trials + 1] for name in CUT if name in learning.arrays}
+    seeds = tuple(learning.seeds[place] for place in places)
+    return replace(learning, costs=learning.costs[places, : trials + 1], seeds=seeds, arrays=arrays)
 
 
 def comparisons(folder: Path | None = None) -> list[Comparison]:
@@ -178,13 +172,11 @@ class Inside:
         ratio = np.log(self.std(first) / self.std(second))
         return ratio[:, :, ratio.shape[2] // 2 :].mean((1, 2, 3))
 
-    @property
-    def penalty_correlation(self) -> Float[np.ndarray, " R"]:
-        """Rank correlation, over trials and steps, of how far free particles part and what a Gaussian adds to cost."""
-        return self.correlation_with("penalty")
+    def penalty_correlation(self, name: str = "penalty") -> Float[np.ndarray, " R"]:
+        """Return the rank correlation, over trials and steps, of how far free particles part and what a Gaussian adds.
 
-    def correlation_with(self, name: str) -> Float[np.ndarray, " R"]:
-        """Return the same of "penalty" or, a Gaussian for each dimension by itself, "penalty_diagonal"."""
+        It adds "penalty" to the cost or, one for each dimension by itself, "penalty_diagonal".
+        """
         depth, penalty = self.arrays["cloud_valley"][:, :, _place("held-free", CLOUDS)], self.arrays[name]
         return np.array([_rank_correlation(d.ravel(), p.ravel()) for d, p in zip(depth, penalty, strict=True)])
 
@@ -284,7 +276,7 @@ class Times:
 
 def times(folder: Path | None = None) -> Times | None:
     """Return the published times; None if there are none yet."""
-    found = [r for r in records.find(EXPERIMENT, name=f"{FAMILY}/scaling", folder=folder) if max(r.seeds) < 100]
+    found = records.find(EXPERIMENT, name=f"{FAMILY}/scaling", folder=folder, published=True)
     if not found:
         return None
     plain = found[0].header["config"]
@@ -295,11 +287,6 @@ def times(folder: Path | None = None) -> Times | None:
         for name in ("fit_s", "policy_s")
     )
     return Times(config, fit, policy, tuple(found))
-
-
-def words(interval: Interval, digits: int = 2) -> str:
-    """Return an interval for a sentence, e.g. "0.35 [0.21, 0.49]"; without limits if there are none."""
-    return in_words(interval, f".{digits}f")
 
 
 def factor(logs: Float[np.ndarray, " R"]) -> Interval:
@@ -349,13 +336,7 @@ def compared(comparison: Comparison, name: str, other: str) -> list[Result]:
 def numbers(comparison: Comparison, name: str, rows: Iterable[tuple[str, Interval, str, str]]) -> list[Result]:
     """Return numbers (kind, interval, unit, words) of the seeds that a comparison shares."""
     made = [record for x in (comparison.first, comparison.second) for record in x.records]
-    return [
-        replace(
-            measured(f"{name}/{kind}", interval, made, unit=unit, statistic=words, config=name),
-            seeds=sorted(comparison.first.seeds),
-        )
-        for kind, interval, unit, words in rows
-    ]
+    return [replace(result, seeds=sorted(comparison.first.seeds)) for result in listed(name, rows, made, name)]
 
 
 def _of_mechanism(folder: Path | None) -> list[Result]:
@@ -386,12 +367,11 @@ def _of_mechanism(folder: Path | None) -> list[Result]:
             (f"{optimiser}/objective", seen.objective(optimiser).mean(1), "cost per step", "on fresh particles"),
             (f"{optimiser}/optimism", seen.optimism(optimiser), "cost per step", "that, less what the search said"),
         ]
-    rows.append(("penalty-correlation", seen.penalty_correlation, "", "rank correlation of parting and penalty"))
+    rows.append(("penalty-correlation", seen.penalty_correlation(), "", "rank correlation of parting and penalty"))
     name = f"{FAMILY}/mechanism"
-    return [
-        measured(f"{name}/{kind}", t_interval(values), seen.records, unit=unit, statistic=words, config=name)
-        for kind, values, unit, words in rows
-    ]
+    return listed(
+        name, ((kind, t_interval(values), unit, words) for kind, values, unit, words in rows), seen.records, name
+    )
 
 
 def _of_scaling(folder: Path | None) -> list[Result]:

@@ -11,7 +11,7 @@ from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import variants
 from dropout_uncertainty.data_efficiency.ablations.probes import CLOUDS
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as matters
-from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, Inside, Times, factor, words
+from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, Inside, Times, factor
 from dropout_uncertainty.data_efficiency.ablations.report.figures import METHOD_STYLES
 from dropout_uncertainty.data_efficiency.ablations.report.statements import SENSITIVITY
 from dropout_uncertainty.data_efficiency.ablations.scaling import AXES
@@ -20,9 +20,10 @@ from dropout_uncertainty.data_efficiency.report import analysis
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.page.profiles import complete
 from dropout_uncertainty.page.tables import Words
+from dropout_uncertainty.runs.process import finished
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.settings import config_diff
-from dropout_uncertainty.stats import t_interval
+from dropout_uncertainty.stats import in_words, t_interval
 
 __all__ = [
     "TINY", "Runs", "added", "changes", "clouds", "exponents", "gradients", "matching",
@@ -118,10 +119,7 @@ def _taken() -> Times:
 
 
 def _finished(config: Any) -> Any:
-    process = variants.start(config, SEEDS)
-    while process.done < process.total:
-        process.advance()
-    return process
+    return finished(variants.start(config, SEEDS))
 
 
 def changes(base: variants.VariantConfig) -> tuple[list[str], list[list[object]]]:
@@ -161,7 +159,7 @@ def matching(seen: Inside) -> Words:
         f"Free particles had parted at {free:.0%} of the steps, matched ones at {matched:.0%}. Putting a Gaussian in "
         f"their place changes the cost of a step by {had:+.3f} where they had, by {had_not:+.3f} where they had not; "
         f"the rank correlation of the depth of the valley and that change is "
-        f"{words(t_interval(seen.penalty_correlation))}."
+        f"{in_words(t_interval(seen.penalty_correlation()))}."
     )
 
 
@@ -169,7 +167,7 @@ def gradients(seen: Inside) -> Words:
     """Return how variance and noise of the gradient compare without and with matching (DE4)."""
 
     def against(first: str, second: str, **kind: bool) -> str:
-        return words(factor(seen.log_gradient_ratio(first, second, **kind)))
+        return in_words(factor(seen.log_gradient_ratio(first, second, **kind)))
 
     return Words(
         f"For the whole trial the variance without matching is {against('off', 'full')} times that with matching of "
@@ -184,7 +182,7 @@ def searches(seen: Inside) -> Words:
     few = min(range(len(seen.counts)), key=lambda i: abs(seen.counts[i] - 10))
 
     def tell(values: np.ndarray) -> str:
-        return words(t_interval(values), 3)
+        return in_words(t_interval(values), ".3f")
 
     return Words(
         f"BFGS on fixed particles promised {tell(seen.optimism('fixed-bfgs'))} less than fresh particles then cost; "
@@ -200,7 +198,7 @@ def searches(seen: Inside) -> Words:
 
 def clouds(seen: Inside, pilco: Learning | None) -> Words:
     """Return how much wider held masks make the prediction, and how often the truth is within it (DE6)."""
-    ratio = {k: words(factor(seen.log_std_ratio(f"held-{k}", f"redrawn-{k}"))) for k in ("free", "matched")}
+    ratio = {k: in_words(factor(seen.log_std_ratio(f"held-{k}", f"redrawn-{k}"))) for k in ("free", "matched")}
     hit = {cloud: f"{seen.coverage(cloud).mean():.0%}" for cloud in CLOUDS}
     beside = f"; PILCO {matters.coverage_of_pilco(pilco, seen.measured).mean():.0%}" if pilco else ""
     return Words(
@@ -224,7 +222,7 @@ def added(found: Runs) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells: what we added to the method and what public ports do otherwise, beside ours."""
     heads = ["", f"share solved by {found.trials}", "cost - ours", "trials to solve - ours"]
     return heads, [
-        [VARIANTS[x.name].words, words(x.solved), words(x.cost_difference), words(x.trials_difference, 1)]
+        [VARIANTS[x.name].words, in_words(x.solved), in_words(x.cost_difference), in_words(x.trials_difference, ".1f")]
         for x in (found.by[name] for name in ADDED if name in found.by)
     ]
 
@@ -233,7 +231,7 @@ def exponents(taken: Times) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells: the exponents of the time per trial, the thesis's and ours (DE8)."""
     claimed = {"pilco": (2, 2, 2), "deep-pilco-diagonal": (0, 1, 1), "deep-pilco": (None, None, None)}
     cells: list[list[object]] = [
-        [METHOD_STYLES[method][0], axis, thesis, words(t_interval(taken.exponents(method, axis))),
+        [METHOD_STYLES[method][0], axis, thesis, in_words(t_interval(taken.exponents(method, axis))),
          int(taken.sizes(method, axis)[-1])]
         for method, row in claimed.items() for axis, thesis in zip(AXES, row, strict=True)
     ]  # fmt: skip

@@ -14,6 +14,7 @@ from dropout_uncertainty.data_efficiency.ablations.report.analysis import NOMINA
 from dropout_uncertainty.data_efficiency.ablations.scaling import AXES, METHODS
 from dropout_uncertainty.data_efficiency.ablations.variants import VARIANTS
 from dropout_uncertainty.data_efficiency.deep_pilco.particles import MATCHING
+from dropout_uncertainty.data_efficiency.plant.drawing import DARK
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, band, legend_above
 from dropout_uncertainty.stats import Interval, t_interval
@@ -28,9 +29,9 @@ __all__ = [
     "parting",
     "scaling",
     "splitting",
+    "whisker",
 ]
 
-DARK = "#333333"
 #: Statements in the forest plot, in the order of the table.
 CLAIM_COLOURS = {"DE4": "#0072B2", "DE5": "#D55E00", "DE6": "#009E73", "DE7": "#882255", "DE10": "#6c6c6c"}
 CLOUD_STYLES = {
@@ -63,8 +64,8 @@ def forest(axes: Sequence[Axes], comparisons: Sequence[Comparison]) -> None:
     for row, comparison in enumerate(comparisons):
         variant = VARIANTS[comparison.name]
         colour = CLAIM_COLOURS[variant.claim]
-        _whisker(success, row, comparison.solved_difference, colour)
-        _whisker(cost, row, comparison.cost_difference, colour)
+        whisker(success, row, comparison.solved_difference, colour)
+        whisker(cost, row, comparison.cost_difference, colour)
         share = comparison.solved
         names.append(f"{variant.words}  ({round(share.value * share.n)}/{share.n})")
     for ax in axes:
@@ -104,9 +105,10 @@ def splitting(
     axes[1].legend()
 
 
-def _whisker(ax: Axes, row: int, interval: Interval, colour: str) -> None:
+def whisker(ax: Axes, row: float | int, interval: Interval, colour: str, label: str | None = None) -> None:
+    """Draw an interval on a row of a forest plot."""
     ax.plot([interval.low, interval.high], [row, row], color=colour, linewidth=1.6)
-    ax.plot(interval.value, row, "o", color=colour, markersize=5)
+    ax.plot(interval.value, row, "o", color=colour, markersize=5, label=label)
 
 
 def parting(axes: Sequence[Axes], seen: Inside) -> None:

@@ -25,23 +25,31 @@ from dropout_uncertainty.data_efficiency.report.statements import (
     cost_of_learning,
 )
 from dropout_uncertainty.data_efficiency.report.statements import dearer as of_configs
-from dropout_uncertainty.data_efficiency.report.statements import stated as of_section
 from dropout_uncertainty.judging.results import printed
-from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, audited, on_average, shifted
+from dropout_uncertainty.judging.statements import (
+    NEAR,
+    Measured,
+    NotRun,
+    Statement,
+    audit,
+    audited,
+    needed,
+    on_average,
+    shifted,
+)
 from dropout_uncertainty.stats import bootstrap_estimate
 
 __all__ = ["SENSITIVITY", "STATEMENTS"]
 
-stated = partial(of_section, chapter="5_4_what_matters")
+CHAPTER = "5_4_what_matters"
+stated = partial(Statement, chapter=CHAPTER)
 #: Margin of exponents.
 MARGIN_EXPONENT = 0.25
 
 
-def dearer(first: str, second: str | None, folder: Path | None, *, sign: int = 1) -> Measured | None:
+def dearer(first: str, second: str | None, folder: Path | None, *, sign: int = 1) -> Measured:
     """Return the cost of learning of a variant less that of another, or of `OURS`; over the trials that both have."""
-    pair = compare(first, folder, second)
-    if pair is None:
-        return None
+    pair = needed(compare(first, folder, second))
     difference = cost_of_learning(pair.first) - cost_of_learning(pair.second)
     return on_average(sign * difference, pair.first.records + pair.second.records)
 
@@ -50,37 +58,36 @@ def dearer(first: str, second: str | None, folder: Path | None, *, sign: int = 1
 matching = partial(dearer, "matching-off", None, sign=-1)
 
 
-def seen(quantity: Callable[[Inside], np.ndarray], folder: Path | None, needs: str = "penalty") -> Measured | None:
+def seen(quantity: Callable[[Inside], np.ndarray], folder: Path | None, needs: str = "penalty") -> Measured:
     """Return what was seen inside the learner `OURS` while it learned, if the records hold the array that it needs."""
-    found = inside(folder)
-    return on_average(quantity(found), found.records) if found and needs in found.arrays else None
+    found = needed(inside(folder))
+    needed(found.arrays.get(needs))
+    return on_average(quantity(found), found.records)
 
 
-def coverage(folder: Path | None) -> Measured | None:
+def coverage(folder: Path | None) -> Measured:
     """Return the share of true states within two standard deviations of PILCO's prediction, less the normal one."""
-    pilco, found = analysis.load("pilco-paper", folder), inside(folder)
-    if pilco is None or found is None:
-        return None
+    pilco, found = needed(analysis.load("pilco-paper", folder)), needed(inside(folder))
     return on_average(coverage_of_pilco(pilco, found.measured), pilco.records, NOMINAL)
 
 
-def exponent(method: str, axis: str, claimed: float, folder: Path | None) -> Measured | None:
+def exponent(method: str, axis: str, claimed: float, folder: Path | None) -> Measured:
     """Return the exponent of the time per trial in a size, less the claimed one."""
-    taken = times(folder)
-    return on_average(taken.exponents(method, axis), taken.records, claimed) if taken else None
+    taken = needed(times(folder))
+    return on_average(taken.exponents(method, axis), taken.records, claimed)
 
 
-def longer(claimed: float, folder: Path | None) -> Measured | None:
+def longer(claimed: float, folder: Path | None) -> Measured:
     """Return how many times as long 40 trials of PILCO take as those of Deep PILCO, less what is claimed.
 
     Of repetitions computed by themselves, all on one kind of processor: the thesis's hours are of one, and side by side
-    a repetition takes less. None unless both have some.
+    a repetition takes less. Raises NotRun unless both have some.
     """
     learners = [analysis.load(name, folder) for name in ("pilco-paper-40", "deep-pilco-ours")]
     alone = [[r for r in x.records if r.header["device"] == "cpu" and len(r.seeds) == 1] if x else [] for x in learners]
     processors = {record.header["provenance"]["processor"] for found in alone for record in found}
     if not all(alone) or len(processors) > 1:
-        return None
+        raise NotRun
     pilco, deep = (np.array([analysis.cpu_seconds(record, 40) for record in found]) for found in alone)
     difference = bootstrap_estimate(lambda i, j: pilco[i].mean(-1) / deep[j].mean(-1) - claimed, len(pilco), len(deep))
     return Measured(difference, shifted(difference.interval, claimed), [*alone[0], *alone[1]])
@@ -124,13 +131,13 @@ STATEMENTS: list[Statement] = [
     stated("DE4a", "Moment matching, of all dimensions together, makes learning cheaper.", CRUCIAL, "less", MARGIN_COST,
            matching, unit="cost per step", primary=True),
     stated("DE4b", "It penalises predictions that part: there a Gaussian adds more to the cost (rank correlation).",
-           CRUCIAL, "more", MARGIN_SHARE, partial(seen, lambda x: x.penalty_correlation)),
+           CRUCIAL, "more", MARGIN_SHARE, partial(seen, lambda x: x.penalty_correlation())),
     stated("DE4c", "It smooths the gradient: without it the gradient varies more over draws (log of variances).",
            CRUCIAL, "more", MARGIN_LOG, partial(seen, lambda x: x.log_gradient_ratio("off", "full"))),
     stated("DE4d", "Matching of each dimension by itself, as in Algorithm 4, makes learning cheaper.", CRUCIAL, "less",
            MARGIN_COST, partial(dearer, "matching-diagonal", "matching-off"), unit="cost per step"),
     stated("DE4e", "Matching of each dimension by itself penalises predictions that part.", CRUCIAL, "more",
-           MARGIN_SHARE, partial(seen, lambda x: x.correlation_with("penalty_diagonal"), needs="penalty_diagonal"),
+           MARGIN_SHARE, partial(seen, lambda x: x.penalty_correlation("penalty_diagonal"), needs="penalty_diagonal"),
            would_test="the cost that a Gaussian of each dimension adds; that of a full one was measured"),
     stated("DE4f", "Matching of each dimension by itself smooths the gradient (log of variances).", CRUCIAL, "more",
            MARGIN_LOG, partial(seen, lambda x: x.log_gradient_ratio("off", "diagonal"))),
@@ -173,6 +180,6 @@ STATEMENTS: list[Statement] = [
                "equality", MARGIN_COST, partial(dearer, name, None), unit="cost per step")
         for letter, (words, name) in zip("abcdefghi", CHANGES, strict=True)
     ),
-    stated("DE12", "Equation 3.14's weight decay belongs beside half the mean squared error.", "Equation 3.14", "audit",
-           0.0, half_belongs),
+    audit("DE12", "Equation 3.14's weight decay belongs beside half the mean squared error.", "Equation 3.14",
+          half_belongs, chapter=CHAPTER),
 ]  # fmt: skip

@@ -1,7 +1,6 @@
 """The numbers of Deep Sea: who finds the treasure, who solves the sea and when, and how that grows with its size."""
 
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,10 @@ from dropout_uncertainty.exploration.report.deep_sea.dives import (
     Dives,
     Seas,
     load,
-    share_interval,
 )
 from dropout_uncertainty.exploration.report.deep_sea.growth import FORMS, growth
-from dropout_uncertainty.judging.results import Result, measured
-from dropout_uncertainty.stats import Estimate, Interval, difference_of_shares
+from dropout_uncertainty.judging.results import Result, listed, measured
+from dropout_uncertainty.stats import Estimate, Interval, difference_of_shares, in_words, share_interval
 
 __all__ = ["CONTRASTS", "coin", "difference", "growth_table", "not_run", "results", "score", "solved", "table"]
 
@@ -74,42 +72,29 @@ def results(folder: Path | None = None) -> list[Result]:
     return found
 
 
-def _of_size(d: Dives) -> Iterator[Result]:
+def _of_size(d: Dives) -> list[Result]:
     """Return the numbers of one agent in seas of one size."""
-    result = partial(measured, found=d.records, config=d.config)
-    seas, run = f"{FAMILY}/{d.agent}/{d.size}", CONFIGS[d.config].episodes
-    yield result(
-        f"{seas}/solved-by-{HORIZON}", d.share(), unit="share",
-        statistic=f"share of seas solved within {HORIZON} episodes",
-    )  # fmt: skip
-    yield result(
-        f"{seas}/found-by-{HORIZON}", share_interval(d.found <= HORIZON), unit="share",
-        statistic=f"share of seas whose treasure was found within {HORIZON} episodes",
-    )  # fmt: skip
-    yield result(
-        f"{seas}/share-solved", share_interval(np.isfinite(d.solved)), unit="share",
-        statistic=f"share of seas solved within {run} episodes",
-    )  # fmt: skip
-    yield result(
-        f"{seas}/episodes-to-solve", d.median(), unit="episodes",
-        statistic="median of Kaplan and Meier; runs that end unsolved are censored, none: not reached",
-    )  # fmt: skip
+    of_found, in_all = share_interval(d.found <= HORIZON), share_interval(np.isfinite(d.solved))
+    censored = "median of Kaplan and Meier; runs that end unsolved are censored, none: not reached"
+    rows = [
+        (f"solved-by-{HORIZON}", d.share(), "share", f"share of seas solved within {HORIZON} episodes"),
+        (f"found-by-{HORIZON}", of_found, "share", f"share of seas whose treasure was found within {HORIZON} episodes"),
+        ("share-solved", in_all, "share", f"share of seas solved within {CONFIGS[d.config].episodes} episodes"),
+        ("episodes-to-solve", d.median(), "episodes", censored),
+    ]
+    return listed(f"{FAMILY}/{d.agent}/{d.size}", rows, d.records, d.config)
 
 
-def _of_agent(dives: Seas, agent: str, mine: Sequence[Dives]) -> Iterator[Result]:
+def _of_agent(dives: Seas, agent: str, mine: Sequence[Dives]) -> list[Result]:
     """Return the numbers of one agent over the sizes at hand."""
     sizes = ", ".join(str(d.size) for d in mine)
-    result = partial(measured, found=[r for d in mine for r in d.records], config=f"{FAMILY}/{agent}")
-    yield result(
-        f"{FAMILY}/{agent}/score", score(dives, agent), unit="share",
-        statistic=f"bsuite's score: share of seas solved before episode 2^N + {FORGIVEN}; N = {sizes}",
-    )  # fmt: skip
+    before = f"bsuite's score: share of seas solved before episode 2^N + {FORGIVEN}; N = {sizes}"
+    rows = [("score", score(dives, agent), "share", before)]
     if len(mine) > 1:
         for form, words in (("exponential", "2^(kN)"), ("power", "N^k")):
-            yield result(
-                f"{FAMILY}/{agent}/growth-{form}", growth(dives, agent, form), unit="exponent",
-                statistic=f"k, where episodes to solve grow as {words}; N = {sizes}",
-            )  # fmt: skip
+            statistic = f"k, where episodes to solve grow as {words}; N = {sizes}"
+            rows.append((f"growth-{form}", growth(dives, agent, form), "exponent", statistic))
+    return listed(f"{FAMILY}/{agent}", rows, [r for d in mine for r in d.records], f"{FAMILY}/{agent}")
 
 
 # ------------------------------------------------------------------ tables
@@ -135,10 +120,9 @@ def solved(d: Dives | None) -> str:
     """Return how many seas an agent solved and, where half are, the median episode with its interval, in words."""
     if d is None:
         return "not run yet"
-    value, low, high, n = d.median()
-    ends = [f"{end:.0f}" if np.isfinite(end) else "–" for end in (value, low, high)]
-    median = f", {ends[0]} [{ends[1]}, {ends[2]}]" if np.isfinite(value) else ""
-    return f"{np.isfinite(d.solved).sum()} of {n}{median}"
+    found = d.median()
+    median = f", {in_words(found, '.0f', unbounded='–')}" if np.isfinite(found.value) else ""
+    return f"{np.isfinite(d.solved).sum()} of {found.n}{median}"
 
 
 def growth_table(dives: Seas) -> tuple[list[str], list[list[object]]]:
@@ -155,5 +139,5 @@ def growth_table(dives: Seas) -> tuple[list[str], list[list[object]]]:
 def _words(found: Interval) -> str:
     if np.isnan(found.value):
         return "too few seas solved"
-    value, low, high = (f"{x:.2f}" if np.isfinite(x) else "not bounded" for x in found[:3])
-    return f"{value} [{low}, {high}]" if not np.isnan(found.low) else f"{value}, too few seas solved for an interval"
+    words = in_words(found, unbounded="not bounded")
+    return f"{words}, too few seas solved for an interval" if np.isnan(found.low) else words

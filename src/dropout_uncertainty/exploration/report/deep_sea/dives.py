@@ -15,11 +15,13 @@ from jaxtyping import Bool, Float
 from scipy import stats as scipy_stats
 
 from dropout_uncertainty.exploration.deep_sea.experiment import AGENTS, CONFIGS, EXPERIMENT, REGRET, start, units
-from dropout_uncertainty.runs import execute, executors, records
+from dropout_uncertainty.page.profiles import complete
+from dropout_uncertainty.runs import records
+from dropout_uncertainty.runs.process import finished
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import CONFIDENCE, Interval
+from dropout_uncertainty.stats import CONFIDENCE, Interval, share_interval
 
-__all__ = ["HORIZON", "LABELS", "SEEDS", "Dives", "Seas", "live", "load", "obtain", "share_interval", "solved_episode"]
+__all__ = ["HORIZON", "LABELS", "SEEDS", "Dives", "Seas", "live", "load", "obtain", "solved_episode"]
 
 FAMILY = "deep-sea"
 LABELS = {
@@ -123,15 +125,6 @@ class Dives:
 Seas = dict[tuple[str, int], Dives]
 
 
-def share_interval(succeeded: np.ndarray) -> Interval:
-    """Return a share with Wilson's interval."""
-    n = len(succeeded)
-    if n == 0:
-        return Interval(np.nan, np.nan, np.nan, 0)
-    outcome = scipy_stats.binomtest(int(np.sum(succeeded)), n).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(float(np.mean(succeeded)), float(outcome.low), float(outcome.high), n)
-
-
 def load(folder: Path | None = None, *, published: bool = True) -> Seas:
     """Return the recorded dives by agent and size; of seeds below 100, or with ``published=False`` of the others.
 
@@ -140,11 +133,7 @@ def load(folder: Path | None = None, *, published: bool = True) -> Seas:
     """
     found = {}
     for name in CONFIGS:
-        mine = [
-            record
-            for record in records.find(EXPERIMENT, CONFIGS[name], name=name, folder=folder)
-            if (max(record.seeds) < 100) == published
-        ]
+        mine = records.find(EXPERIMENT, CONFIGS[name], name=name, folder=folder, published=published)
         if mine:
             dives = from_records(name, mine)
             found[dives.agent, dives.size] = dives
@@ -153,8 +142,7 @@ def load(folder: Path | None = None, *, published: bool = True) -> Seas:
 
 def from_records(name: str, mine: list[Record]) -> Dives:
     """Return the dives of one config whose units are in several records."""
-    arrays = {key: np.concatenate([r.arrays[key] for r in mine]) for key in ("found", "episodes", "first_visit")}
-    seeds = tuple(seed for r in mine for seed in r.seeds)
+    seeds, arrays = records.joined(mine, ("found", "episodes", "first_visit"))
     return from_arrays(name.split("/")[-2], CONFIGS[name].size, arrays, seeds, tuple(mine))
 
 
@@ -175,10 +163,8 @@ def live(size: int, *, seeds: Sequence[int], episodes: int) -> Seas:
     """Return dives of all agents, computed now."""
     dives = {}
     for agent in AGENTS:
-        process = start(replace(CONFIGS[f"deep-sea/{agent}/{size}"], episodes=episodes), seeds)
-        while process.done < process.total:
-            process.advance()
-        dives[agent, size] = from_arrays(agent, size, process.result(), tuple(seeds))
+        run = finished(start(replace(CONFIGS[f"deep-sea/{agent}/{size}"], episodes=episodes), seeds))
+        dives[agent, size] = from_arrays(agent, size, run.result(), tuple(seeds))
     return dives
 
 
@@ -186,8 +172,6 @@ def obtain(profile: str) -> Seas:
     """Return the dives that a profile shows: recorded, small ones computed now, or recorded and what is missing."""
     if profile == "quick":
         return live(5, seeds=range(100, 103), episodes=150)
-    if profile == "full":
-        with executors.processes() as executor:
-            work = [(f"{FAMILY}/{agent}/{size}", range(n)) for agent in AGENTS for size, n in SEEDS.items()]
-            execute.run([unit for name, seeds in work for unit in units(name, seeds)], executor=executor)
+    planned = [(f"{FAMILY}/{agent}/{size}", range(n)) for agent in AGENTS for size, n in SEEDS.items()]
+    complete(profile, [unit for name, seeds in planned for unit in units(name, seeds)])
     return load()

@@ -9,8 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dropout_uncertainty.exploration.report.deep_sea.analysis import coin
-from dropout_uncertainty.exploration.report.deep_sea.dives import HORIZON, LABELS, Dives, Seas, share_interval
+from dropout_uncertainty.exploration.report.deep_sea.dives import HORIZON, LABELS, Dives, Seas
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, missing
+from dropout_uncertainty.stats import share_interval
 
 __all__ = ["AGENT_COLOURS", "growth", "in_lines", "reached", "shares", "survival"]
 

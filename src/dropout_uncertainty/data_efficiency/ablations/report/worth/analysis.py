@@ -16,7 +16,7 @@ from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
 from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, compared, numbers, pair
 from dropout_uncertainty.data_efficiency.ablations.shrinking import NOISE
 from dropout_uncertainty.data_efficiency.report.analysis import Learning, load
-from dropout_uncertainty.judging.results import Result, measured
+from dropout_uncertainty.judging.results import Result, listed, measured
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import paired_difference, t_interval
 
@@ -217,10 +217,7 @@ def _of_particles(find: Find) -> list[Result]:
                 (f"solved-by-{learning.trials}", learning.solved_by(learning.trials), "share", "repetitions solved"),
                 ("cost", t_interval(learning.trial_costs[:, 1:].mean(1)), "cost per step", "mean over trials"),
             )
-            found += [
-                measured(f"{name}/{kind}", value, learning.records, unit=unit, statistic=words, config=name)
-                for kind, value, unit, words in rows
-            ]
+            found += listed(name, rows, learning.records, name)
     for comparison in particle_pairs(find):
         name = comparison.first.config
         found += [r for r in compared(comparison, name, comparison.second.config) if r.id.endswith("/difference")]

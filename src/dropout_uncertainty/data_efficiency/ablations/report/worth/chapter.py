@@ -10,7 +10,7 @@ from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import doubt, gradients, literal, mchutchon, shrinking
 from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
 from dropout_uncertainty.data_efficiency.ablations.mchutchon import ParticlePilcoConfig
-from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, factor, words
+from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, factor
 from dropout_uncertainty.data_efficiency.ablations.report.chapter import TINY
 from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
 from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import (
@@ -24,8 +24,9 @@ from dropout_uncertainty.data_efficiency.report import analysis
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.page.profiles import complete
 from dropout_uncertainty.page.tables import Words
+from dropout_uncertainty.runs.process import finished
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, t_interval
+from dropout_uncertainty.stats import Interval, in_words, t_interval
 
 __all__ = ["Runs", "answers", "choices", "clouds", "grown", "pairs_table", "runs", "trusted"]
 
@@ -108,10 +109,7 @@ def _tiny(config: Any) -> Any:
 
 
 def _finished(name: str, config: Any) -> Any:
-    process = configs.units(name, SEEDS)[0].start(config, SEEDS)
-    while process.done < process.total:
-        process.advance()
-    return process
+    return finished(configs.units(name, SEEDS)[0].start(config, SEEDS))
 
 
 def _learned(name: str, config: Any) -> Learning:
@@ -138,8 +136,8 @@ def pairs_table(found: Runs) -> tuple[list[str], list[list[object]]]:
 
     return heads, [
         [
-            PAIRS[x.name], len(x.first.seeds), words(x.cost_difference), words(x.trials_difference, 1),
-            words(t_interval(x.first.broken_promise)), words(t_interval(x.second.broken_promise)),
+            PAIRS[x.name], len(x.first.seeds), in_words(x.cost_difference), in_words(x.trials_difference, ".1f"),
+            in_words(t_interval(x.first.broken_promise)), in_words(t_interval(x.second.broken_promise)),
             share(x.first), share(x.second),
         ]
         for x in found.pairs
@@ -156,8 +154,8 @@ def read(difference: Interval) -> str:
 def answers(found: Runs) -> Words:
     """Return, for each pair that has been run, what its interval says."""
     lines = [
-        f"- **{PAIRS[x.name]}** {read(x.cost_difference)}: {words(x.cost_difference)} per step over {x.first.trials} "
-        f"trials, {len(x.first.seeds)} pairs with {x.second.label}."
+        f"- **{PAIRS[x.name]}** {read(x.cost_difference)}: {in_words(x.cost_difference)} per step over "
+        f"{x.first.trials} trials, {len(x.first.seeds)} pairs with {x.second.label}."
         for x in found.pairs
     ]
     return Words("\n".join(lines))
@@ -171,7 +169,7 @@ def trusted(found: Comparison | None, trials: int = 5) -> Words:
     def tell(learning: Learning) -> str:
         here = slice(1, trials + 1)
         said, cost = (t_interval(x[:, here].mean(1)) for x in (learning.predicted_costs, learning.trial_costs))
-        return f"{words(said)} a step, and they cost {words(cost)}"
+        return f"{in_words(said)} a step, and they cost {in_words(cost)}"
 
     count = min(trials, found.first.trials)
     return Words(
@@ -197,7 +195,7 @@ def clouds(found: Runs) -> Words:
     """Return what is left of the angle's variance at the end of a predicted trial, learner by learner."""
 
     def tell(shares: np.ndarray) -> str:
-        return words(factor(np.log(shares[..., -1]).mean(1)))
+        return in_words(factor(np.log(shares[..., -1]).mean(1)))
 
     lines = [
         f"- **{cloud.name}**, {cloud.particles} particles: {tell(cloud.left['plain'])} with plain noise, "
@@ -214,15 +212,15 @@ def grown(found: Estimates | None) -> Words:
         return Words("")
     first, last = found.horizons[0], found.horizons[-1]
     logs = {name: found.log(name) for name in ESTIMATES}
-    decades = {name: words(t_interval(log[:, -1] - log[:, 0]), 1) for name, log in logs.items()}
+    decades = {name: in_words(t_interval(log[:, -1] - log[:, 0]), ".1f") for name, log in logs.items()}
     share = {name: factor(np.log(10) * (logs["total-propagation"] - log)[:, -1]) for name, log in logs.items()}
     (exact, error), (mixed, _) = (found.whole(name) for name in ("pathwise", "total-propagation"))
     return Words(
         f"From {first} to {last} steps the variance grows by {decades['pathwise']} powers of ten (pathwise), "
         f"{decades['likelihood-ratio']} (likelihood ratio) and {decades['total-propagation']} (total propagation). At "
-        f"{last} steps that of the third is {words(share['pathwise'], 4)} times that of the first, and "
-        f"{words(share['likelihood-ratio'], 4)} times that of the second.\n\nBut is it the same gradient? There, at "
-        f"the last policy, its mean has {words(factor(np.log(mixed / exact)))} times the norm of the pathwise mean, "
-        f"which is known to within {np.median(error):.0%} of itself in the middle repetition; without bias it would "
-        "be 1."
+        f"{last} steps that of the third is {in_words(share['pathwise'], '.4f')} times that of the first, and "
+        f"{in_words(share['likelihood-ratio'], '.4f')} times that of the second.\n\nBut is it the same gradient? "
+        f"There, at the last policy, its mean has {in_words(factor(np.log(mixed / exact)))} times the norm of the "
+        f"pathwise mean, which is known to within {np.median(error):.0%} of itself in the middle repetition; without "
+        "bias it would be 1."
     )

@@ -13,6 +13,7 @@ from scipy.special import digamma
 from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
 from dropout_uncertainty.data_efficiency.ablations.literal import CHANGES
 from dropout_uncertainty.data_efficiency.ablations.report.analysis import NOMINAL, Comparison
+from dropout_uncertainty.data_efficiency.ablations.report.figures import whisker
 from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import (
     PAIRS,
     PARTICLES,
@@ -20,22 +21,17 @@ from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import 
     Estimates,
     coverage,
 )
+from dropout_uncertainty.data_efficiency.plant.drawing import DARK
 from dropout_uncertainty.data_efficiency.report.statements import MARGIN_COST
 from dropout_uncertainty.page.plotting import COLOURS, WIDTH, band, legend_above
-from dropout_uncertainty.stats import Interval, t_interval
+from dropout_uncertainty.stats import t_interval
 
 __all__ = ["both_ways", "covered", "estimates", "first_trials", "forest", "left", "particles", "walk"]
 
-DARK = "#333333"
 #: With doubt and without.
 DOUBT, SURE = COLOURS["deep-pilco"], COLOURS["bald"]
 NOISE_STYLES = {"plain": ("plain noise", COLOURS["bald"]), "standardised": ("standardised noise", "#0072B2")}
 ESTIMATE_STYLES = {"pathwise": "#0072B2", "likelihood-ratio": "#D55E00", "total-propagation": "#009E73"}
-
-
-def _whisker(ax: Axes, row: float | int, interval: Interval, colour: str, label: str | None = None) -> None:
-    ax.plot([interval.low, interval.high], [row, row], color=colour, linewidth=1.6)
-    ax.plot(interval.value, row, "o", color=colour, markersize=5, label=label)
 
 
 def _rows(ax: Axes, names: Sequence[str]) -> None:
@@ -51,11 +47,11 @@ def forest(pairs: Sequence[Comparison]) -> Figure | None:
     figure, (dearer, broken) = plt.subplots(1, 2, figsize=(WIDTH, 1.6 + 0.42 * len(pairs)), sharey=True)
     dearer.axvspan(-MARGIN_COST, MARGIN_COST, color="#eeeeee")
     for row, found in enumerate(pairs):
-        _whisker(dearer, row, found.cost_difference, DARK)
+        whisker(dearer, row, found.cost_difference, DARK)
         for shift, learning, colour, words in (
             (-0.14, found.second, DOUBT, "what it is held against"), (0.14, found.first, SURE, "the learner named"),
         ):  # fmt: skip
-            _whisker(broken, row + shift, t_interval(learning.broken_promise), colour, None if row else words)
+            whisker(broken, row + shift, t_interval(learning.broken_promise), colour, None if row else words)
     for ax in (dearer, broken):
         ax.axvline(0, color=DARK, linewidth=0.9)
         _rows(ax, [_wrapped(f"{PAIRS[found.name]} ({len(found.first.seeds)})") for found in pairs])
@@ -121,7 +117,7 @@ def both_ways(groups: Mapping[str, Sequence[Comparison]]) -> Figure | None:
         ax.axvspan(-MARGIN_COST, MARGIN_COST, color="#eeeeee")
         ax.axvline(0, color=DARK, linewidth=0.9)
         for found in groups[way]:
-            _whisker(ax, names.index(found.name), found.cost_difference, DARK)
+            whisker(ax, names.index(found.name), found.cost_difference, DARK)
         _rows(ax, [name.replace("-", " ") for name in names])
         ax.set(title=words, xlabel="cost per step, difference")
     return figure
@@ -138,7 +134,7 @@ def particles(pairs: Sequence[Comparison]) -> Figure | None:
             (-0.14, found.second, DOUBT, "fresh-adam"), (0.14, found.first, SURE, "fixed-bfgs"),
         ):  # fmt: skip
             label = None if row else PARTICLES[way]
-            _whisker(ax, row + shift, t_interval(learning.trial_costs[:, 1:].mean(1)), colour, label)
+            whisker(ax, row + shift, t_interval(learning.trial_costs[:, 1:].mean(1)), colour, label)
     _rows(ax, [words[found.name] for found in pairs])
     ax.set_xlabel("mean cost per step")
     legend_above(ax)
