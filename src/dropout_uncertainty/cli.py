@@ -73,6 +73,14 @@ def book(
 
 
 @app.command()
+def pdf() -> None:
+    """Print the book as last built as one PDF, with Chromium."""
+    from dropout_uncertainty.page.book import print_pdf
+
+    print_pdf()
+
+
+@app.command()
 def notebooks(
     names: Annotated[list[str] | None, typer.Argument(help="without suffix; all by default")] = None,
     profile: Annotated[str, typer.Option(help="recorded, quick or full")] = "recorded",

@@ -149,6 +149,40 @@ def test_warning_stops_the_build_and_names_the_page(small_book):
         book.build(run=False)
 
 
+@pytest.mark.slow
+def test_the_whole_book_is_one_pdf(small_book):
+    if not any(map(shutil.which, book.CHROMIUM)):
+        pytest.skip("there is no Chromium")
+    page = notebook("1")
+    page.cells += [nbformat.v4.new_markdown_cell("# A page")]
+    folder = small_book(one=page)
+    (folder / "_build/notebooks").mkdir(parents=True)
+    nbformat.write(page, folder / "_build/notebooks/one.ipynb")
+    (folder / "records").mkdir()
+    (folder / "records" / "0.npz").write_bytes(b"numbers")
+    links = "[a page](one.ipynb), [a record](../records/0.npz), [elsewhere](https://example.org/)"
+    (folder / "book" / "index.md").write_text(f"# Small\n\n{links}")
+    book.build(run=False)
+    content = book.print_pdf().read_bytes()
+    assert content.startswith(b"%PDF")
+    assert b"/Title (A page)" in content  # of the outline
+    assert b"https://example.org/" in content
+    assert b"document-one" in content
+    assert b"file:" not in content
+    assert '<a href="book.pdf">' in (folder / "_build/html/index.html").read_text()
+
+
+def test_a_pdf_needs_a_book_and_a_browser(small_book, monkeypatch):
+    small_book(one=notebook("1"))
+    monkeypatch.setenv("CHROMIUM", "chromium")
+    with pytest.raises(book.BookError, match="has not been built"):
+        book.print_pdf()
+    monkeypatch.delenv("CHROMIUM")
+    monkeypatch.setattr(book, "CHROMIUM", ())
+    with pytest.raises(book.BookError, match="Chromium prints the PDF: install it"):
+        book.print_pdf()
+
+
 def test_modules_of_a_package_are_listed_for_the_api_pages():
     text = sphinx_ext.module_sections("dropout_uncertainty")
     assert "## bayes\n\n```{eval-rst}\n.. automodule:: dropout_uncertainty.bayes\n   :members:\n```" in text

@@ -51,6 +51,8 @@ def test_without_scripts_the_page_shows_the_first_frame_and_no_controls(player):
     assert svg.find("circle")["cx"] == "0"
     assert svg.find("text").string == "<0>"
     assert svg.find("polygon")["points"] == "0,0 100,0 50.3,9"
+    assert page.find(class_="end").find("text").string == "<3>"
+    assert page.find(class_="end").find("p").string.startswith("frame 3")
     assert page.find(class_="controls").has_attr("hidden")
     assert page.find("figcaption").string.startswith("frame 0")
     assert all(field.get("aria-label") or field.find_parent("label") for field in page.find_all(["input", "select"]))

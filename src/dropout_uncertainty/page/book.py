@@ -1,8 +1,8 @@
 """Make the book: run the notebooks, lay the pages out and build the HTML.
 
 Everything made here lies under ``_build/``: ``notebooks/`` (executed), ``source/`` (the prose of ``book/`` and the
-executed notebooks side by side) and ``html/``; of a book with a public address also ``launch/`` (see ``public``). What
-an interrupted run leaves behind is removed by the next one.
+executed notebooks side by side) and ``html/``; of a book with a public address also ``launch/`` (see ``public``), and
+for the PDF ``singlehtml/``. What an interrupted run leaves behind is removed by the next one.
 """
 
 import ast
@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -27,17 +28,32 @@ from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.page import profiles, public
 from dropout_uncertainty.runs import executors, records
 
-__all__ = ["BookError", "build", "notebooks", "run_notebooks", "times"]
+__all__ = ["BookError", "build", "notebooks", "print_pdf", "run_notebooks", "times"]
 
 # all relative to the repository: papermill and Sphinx write the paths they are given into the published pages
 NOTEBOOKS, PROSE, CONFIG = Path("notebooks"), Path("book"), Path("_config.yml")
 BUILD = Path("_build")
 EXECUTED, RUNNING, SOURCE, HTML = BUILD / "notebooks", BUILD / "running", BUILD / "source", BUILD / "html"
 LAUNCHABLE = BUILD / "launch"
+SINGLE, PDF = BUILD / "singlehtml", HTML / "book.pdf"
 # beside the source as beside the notebooks, so that the same links lead to them from both
 RECORDS, COPIED = Path("records"), BUILD / "records"
 LOG = BUILD / "jupyter-book.log"
 TIMES = BUILD / "times.json"
+#: Chromium by the names that systems give it, and how it prints without a window.
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
+PRINTS = (
+    "--headless",
+    "--no-sandbox",  # containers run as root
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--force-prefers-reduced-motion",  # animations stay at their first frame
+    "--virtual-time-budget=120000",  # until all formulas are drawn
+    "--no-pdf-header-footer",
+    "--generate-pdf-document-outline",
+)
 #: The notebook that shows what the others took, and runs after them.
 LAST = "scoreboard"
 
@@ -107,6 +123,47 @@ def build(profile: str | None = None, *, run: bool = True) -> Path:
         page = HTML.resolve() / "index.html"
     print(f"The book is ready after {_duration(time.monotonic() - begin)}; open {page}")
     return page
+
+
+def print_pdf() -> Path:
+    """Print the book as it was last built, all pages as one PDF; return its path, to which the first page then links.
+
+    Raises:
+        BookError: if the book has not been built, jupyter-book reports a warning, or Chromium is missing or fails.
+    """
+    program = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, CHROMIUM)), None)
+    if program is None:
+        raise BookError("Chromium prints the PDF: install it, or name it in the environment variable CHROMIUM")
+    begin = time.monotonic()
+    with _only_one(), tempfile.TemporaryDirectory() as scratch:
+        if not (HTML / "index.html").exists():
+            raise BookError("the book has not been built: `make book` builds it")
+        shutil.rmtree(SINGLE, ignore_errors=True)
+        _jupyter_book("singlehtml")
+        page = SINGLE / "index.html"
+        page.write_text(_for_paper(page.read_text(encoding="utf-8")), encoding="utf-8")
+        command = [program, *PRINTS, f"--user-data-dir={scratch}", f"--print-to-pdf={PDF.resolve()}"]
+        outcome = subprocess.run([*command, page.resolve().as_uri()], capture_output=True, text=True, check=False)
+        if outcome.returncode != 0 or not PDF.exists():
+            raise BookError(f"{program} could not print the book: {outcome.stderr.strip()[-500:]}")
+        _link_pdf()
+        path = PDF.resolve()
+    print(f"The PDF is ready after {_duration(time.monotonic() - begin)}; open {path}")
+    return path
+
+
+def _for_paper(text: str) -> str:
+    """Return the page with links to other pages leading to their place in it, and without those to files beside it."""
+    text = re.sub(r'href="([\w/]+)\.html(#[^"]*)?"', lambda link: f'href="{link[2] or "#document-" + link[1]}"', text)
+    return re.sub(r'(<a [^>]*?)href="(?!#|https?:|mailto:)[^"]*"', r"\1", text)
+
+
+def _link_pdf() -> None:
+    """Name the PDF below the title of the first page."""
+    page = HTML / "index.html"
+    text, link = page.read_text(encoding="utf-8"), f'<p><a href="{PDF.name}">The whole book as one PDF</a></p>'
+    if link not in text:
+        page.write_text(text.replace("</h1>", f"</h1>\n{link}", 1), encoding="utf-8")
 
 
 def _check_profile(profile: str | None) -> None:
@@ -298,9 +355,14 @@ def _build_html() -> None:
     """Build the HTML with every warning an error; what jupyter-book says goes to a log."""
     for stale in (HTML, BUILD / ".doctrees"):
         shutil.rmtree(stale, ignore_errors=True)
+    _jupyter_book("html")
+
+
+def _jupyter_book(builder: str) -> None:
     # jupyter-book 1.x has no `python -m`: its script lies beside the interpreter
     script = Path(sys.executable).with_name("jupyter-book")
-    arguments = ["build", str(SOURCE), "--config", str(CONFIG), "--path-output", ".", "-W", "--keep-going", "-n"]
+    arguments = ["build", str(SOURCE), "--config", str(CONFIG), "--path-output", ".", "--builder", builder]
+    arguments += ["-W", "--keep-going", "-n"]
     with LOG.open("w", encoding="utf-8") as log:
         outcome = subprocess.run([str(script), *arguments], stdout=log, stderr=subprocess.STDOUT, check=False)
     if outcome.returncode != 0:

@@ -1,8 +1,9 @@
 """Animations for a page: moving shapes with play, step, slider and speed, in plain JavaScript and from no other host.
 
 A frame is a list of shapes, and so is the background that does not move. The first frame is part of the page as a
-drawing, so something is to be seen without scripts too. Where a reader has asked for less motion the animation waits to
-be started. Draw what should fit both the light and the dark page in ``currentColor``, the colour of the text.
+drawing, so something is to be seen without scripts too; paper has the last one as well. Where a reader has asked for
+less motion the animation waits to be started. Draw what should fit both the light and the dark page in
+``currentColor``, the colour of the text.
 """
 
 import json
@@ -141,8 +142,10 @@ class Player:
             description=escape(self.description),
             background="".join(shape.svg() for shape in self.background),
             first="".join(shape.svg() for shape in self.frames[0]),
+            end="".join(shape.svg() for shape in self.frames[-1]),
             last=len(self.frames) - 1,
             label=escape(self.labels[0]),
+            end_label=escape(self.labels[-1]),
             script=SCRIPT,
             data=data.replace("</", "<\\/"),  # nothing in the data may end the script
         )
@@ -160,8 +163,10 @@ STYLE = """
 .player button { min-width: 4.6em; cursor: pointer; }
 .player option { color: black; background: white; }
 .player input { flex: 1 1 8em; min-width: 6em; }
-.player figcaption { margin-top: 0.2em; color: inherit; text-align: left; white-space: pre-line;
+.player :is(figcaption, .end p) { margin-top: 0.2em; color: inherit; text-align: left; white-space: pre-line;
   font-variant-numeric: tabular-nums; }
+.player .end { display: none; break-inside: avoid; }
+@media print { .player .end { display: block; } .player .controls { display: none; } }
 html[data-theme=dark] .bd-content div.cell_output .text_html:has(figure.player) {
   background: none; color: var(--pst-color-text-base);
 }
@@ -181,6 +186,10 @@ TEMPLATE = """<figure class="player">
 <option value="1" selected>1</option><option value="2">2</option><option value="4">4</option></select></label>
 </div>
 <figcaption>{label}</figcaption>
+<div class="end">
+<svg viewBox="0 0 {width} {height}" role="img" aria-label="{description} The end.">{background}{end}</svg>
+<p>{end_label}</p>
+</div>
 <script>({script})(document.currentScript.parentElement, ...{data})</script>
 </figure>"""
 

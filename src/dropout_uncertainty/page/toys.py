@@ -1,4 +1,4 @@
-"""Pictures of the toys of the page *The one idea: a draw of the weights*: curves in, axes out."""
+"""The toys of the page *The one idea: a draw of the weights*: pictures (curves in, axes out), and one to play with."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,9 +6,11 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from torch import Tensor
 
+from dropout_uncertainty.bayes import MLP
 from dropout_uncertainty.page.plotting import COLOURS
+from dropout_uncertainty.page.sliders import FLOATS, Slider, Toy, floats
 
-__all__ = ["STEPS", "functions", "spread", "walks"]
+__all__ = ["STEPS", "functions", "play_functions", "spread", "walks"]
 
 #: Steps of training by profile.
 STEPS = {"recorded": 2000, "quick": 600, "full": 6000}
@@ -50,3 +52,78 @@ def walks(axes: Sequence[Axes], path: Float[Tensor, " N"], heights: Mapping[bool
         ax.plot(path, height[:30].T, color=DRAWS, alpha=0.35, linewidth=1)
         ax.set(title="draw held by each walker" if hold else "fresh draw at every step", xlabel="x")
     axes[0].set_ylabel("height")
+
+
+def play_functions(net: MLP, grid: Float[Tensor, " N"], points: tuple[Tensor, Tensor], noise: float) -> Toy:
+    """Return a figure in which a reader draws functions from a trained network with two hidden layers.
+
+    Sliders set the drop probability, the number of draws and the noise of a new observation; the weights stay.
+    """
+    drop = net.drop[-1]
+    sliders = [
+        Slider("p", "drop probability", drop, 0, 0.5, 0.05),
+        Slider("draws", "number of draws", 20, 2, 100, 1),
+        Slider("noise", "noise (standard deviation)", noise, 0, 0.5, 0.05),
+    ]
+    layers = [[floats(part[0].detach()) for part in layer] for layer in zip(net.weights, net.biases, strict=True)]
+    x, y = (values.flatten().tolist() for values in points)
+    data = {"grid": grid.tolist(), "x": x, "y": y, "layers": layers, "colours": [DRAWS, DATA]}
+    lead = (
+        f"Draw functions yourself, from the network of {len(x)} points. Its weights stay as they were trained, with "
+        f"drop probability {drop:g}. You set the drop probability of the draws, their number, and the noise of a new "
+        "observation."
+    )
+    return Toy(lead, "Functions drawn from a dropout network, with the data.", FUNCTIONS, sliders, data)
+
+
+FUNCTIONS = """
+({ grid, x, y, layers, colours: [blue, orange] }) => {
+  const floats = FLOATS;
+  const [first, second, third] = layers.map(([weights, biases]) => [floats(weights), floats(biases)]);
+  const relu = (units) => units.map((unit) => Math.max(unit, 0));
+  const dense = (units, [weights, biases]) => {
+    const out = Float64Array.from(biases);
+    for (let i = 0; i < units.length; i++) {
+      if (units[i] === 0) continue;
+      for (let j = 0; j < out.length; j++) out[j] += units[i] * weights[i * out.length + j];
+    }
+    return out;
+  };
+  const hidden = grid.map((at) => relu(dense([at], first))); // no dropout before: the same in every draw
+
+  return ({ p, draws, noise }, random) => {
+    const mask = ([, biases]) => Array.from(biases, () => (random() < p ? 0 : 1 / (1 - p)));
+    const functions = Array.from({ length: draws }, () => {
+      const one = mask(first), two = mask(second); // held: the same masks at every point of the grid
+      const drop = (units, masks) => units.map((unit, i) => unit * masks[i]);
+      return hidden.map((units) => dense(drop(relu(dense(drop(units, one), second)), two), third)[0]);
+    });
+    const mean = grid.map((_, n) => functions.reduce((sum, f) => sum + f[n], 0) / draws);
+    const variance = mean.map((m, n) => functions.reduce((sum, f) => sum + (f[n] - m) ** 2, 0) / (draws - 1));
+    const std = variance.map((v) => Math.sqrt(v + noise ** 2));
+    const edge = (sign) => mean.map((m, n) => m + sign * 2 * std[n]);
+    const spread = (there) => {
+      const inside = variance.filter((_, n) => there(Math.abs(grid[n])));
+      const epistemic = inside.reduce((sum, v) => sum + v, 0) / inside.length;
+      return `${Math.sqrt(epistemic).toFixed(3)} (${Math.sqrt(epistemic + noise ** 2).toFixed(3)})`;
+    };
+    const paths = [
+      { x: [...grid, ...[...grid].reverse()], y: [...edge(1), ...edge(-1).reverse()], fill: orange,
+        "fill-opacity": 0.25, label: "new observation, two std" },
+      ...functions.map((f) => ({ x: grid, y: f, stroke: blue, "stroke-opacity": 0.6 })),
+      { x: grid, y: mean, stroke: "currentColor", "stroke-width": 2, label: "their mean" },
+      { x, y, dots: true, stroke: orange, "stroke-width": 6, label: "data" },
+    ];
+    paths[1].label = "functions";
+    return {
+      panels: [{
+        x: { low: -4, high: 4, ticks: [-4, -2, 0, 2, 4], label: "x" },
+        y: { low: -3, high: 3, ticks: [-3, -2, -1, 0, 1, 2, 3], label: "y" },
+        paths,
+      }],
+      words: `Standard deviation of the functions, and in brackets of a new observation: `
+        + `${spread((at) => at > 1 && at < 2.5)} where there are data, ${spread((at) => at <= 1)} in the gap, `
+        + `${spread((at) => at >= 2.5 && at < 3.5)} beside them.`,
+    };
+  };
+}""".replace("FLOATS", FLOATS)

@@ -1,0 +1,35 @@
+import base64
+import io
+
+import matplotlib as mpl
+import numpy as np
+from IPython.core.pylabtools import retina_figure
+from matplotlib.figure import Figure
+from PIL import Image
+
+from dropout_uncertainty.page import plotting
+
+
+def test_a_small_png_looks_like_a_large_one():
+    with plotting.style():
+        figure = Figure()
+        ax = figure.add_subplot()
+        for shift, (name, colour) in enumerate(plotting.COLOURS.items()):
+            plotting.band(ax, np.arange(9), np.random.default_rng(0).random((5, 9)) + shift, colour=colour, label=name)
+        ax.legend()
+        encoded, size = plotting.small_png(figure)
+        large, _ = retina_figure(figure, base64=False, bbox_inches="tight")
+    small, full = Image.open(io.BytesIO(base64.b64decode(encoded))), Image.open(io.BytesIO(large)).convert("RGB")
+    assert small.size == full.size == (2 * size["width"], 2 * size["height"])
+    assert 3 * len(base64.b64decode(encoded)) < len(large)
+    small, full = (np.asarray(image.convert("RGB"), dtype=int) for image in (small, full))
+    assert (small[0] == 255).all()
+    away = np.abs(small - full).max(-1)
+    assert (away > 24).mean() < 3e-3  # at the edges of all methods in one picture; less in any of the book
+    shades = {tuple(round(255 * part) for part in mpl.colors.to_rgb(colour)) for colour in plotting.COLOURS.values()}
+    for shade in shades:  # colours carry meaning
+        assert away[(full == shade).all(-1)].max() <= 8
+
+
+def test_an_empty_figure_is_not_shown():
+    assert plotting.small_png(Figure()) is None
