@@ -6,6 +6,7 @@ Nothing is run and nothing is drawn here.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,7 +19,7 @@ from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Interval, t_interval
 
-__all__ = ["LANGUAGES", "MODELS", "Reading", "Run", "load", "results"]
+__all__ = ["LANGUAGES", "MODELS", "Reading", "Run", "load", "paired", "reading", "results"]
 
 #: Models in words, by their configs.
 MODELS = {
@@ -34,12 +35,24 @@ LANGUAGES = {"none": "no dropout", "fresh": "fresh masks", "held": "held masks"}
 
 @dataclass(frozen=True)
 class Run:
-    """R repetitions of a config: its arrays, R first; no records of a live one."""
+    """R repetitions of a config: its settings, and its arrays, R first; no records of a live one."""
 
     name: str
     seeds: tuple[int, ...]
+    config: Mapping[str, Any]
     arrays: Mapping[str, np.ndarray]
     records: tuple[Record, ...] = ()
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Trials of data."""
+        return tuple(self.config["sizes"])
+
+    @property
+    def cpu(self) -> float:
+        """CPU seconds of a repetition: all its fits and predictions; NaN of a live run."""
+        spent = [record.header["provenance"].get("cpu_s", np.nan) for record in self.records]
+        return sum(spent) / len(self.seeds) if spent else np.nan
 
     @property
     def _error(self) -> Float[np.ndarray, "R sizes trials T 2"]:
@@ -99,7 +112,8 @@ def load(name: str, folder: Path | None = None) -> Run | None:
     if not found:
         return None
     arrays = {key: np.concatenate([record.arrays[key] for record in found]) for key in found[0].arrays}
-    return Run(name, tuple(seed for record in found for seed in record.seeds), arrays, tuple(found))
+    seeds = tuple(seed for record in found for seed in record.seeds)
+    return Run(name, seeds, found[0].header["config"], arrays, tuple(found))
 
 
 def reading(masks: str, run: Run | None) -> Reading | None:
@@ -133,13 +147,12 @@ def results(folder: Path | None = None) -> list[Result]:
 
 
 def _of_prediction(run: Run) -> list[Result]:
-    sizes = run.records[0].header["config"]["sizes"]
     each = run.log_density.mean((2, 3, 4))
     words = "log density of x [m] or θ [rad], mean over 25 predicted steps"
     rows = [("log-density", t_interval(run.score), f"{words} and all sizes of data")]
     rows += [
         (f"log-density/{size}", t_interval(column), f"{words}, {size} trials of data")
-        for size, column in zip(sizes, each.T, strict=True)
+        for size, column in zip(run.sizes, each.T, strict=True)
     ]
     name = f"{FAMILY}/{run.name}"
     covered = t_interval(run.covered.mean((1, 2, 3, 4)))

@@ -23,10 +23,9 @@ def predicts_better(first: str, second: str, folder: Path | None) -> Measured | 
     one, two = load(first, folder), load(second, folder)
     if one is None or two is None:
         return None
-    sizes = one.records[0].header["config"]["sizes"]
     beside = {
         f"{size} trials": t_interval(paired(one, two, lambda run, i=i: run.log_density[:, i].mean((1, 2, 3))))
-        for i, size in enumerate(sizes)
+        for i, size in enumerate(one.sizes)
     }
     return on_average(paired(one, two, lambda run: run.score), [*one.records, *two.records], beside=beside)
 
