@@ -93,6 +93,9 @@ def test_the_objective_of_sequences_by_hand():
 class Still:
     """A model of a world that moves by 1 and 0 a step, with noise of known size."""
 
+    def fit(self, seen, changes, *path, how):
+        raise NotImplementedError
+
     def draw(self, count, steps, *path):
         return None
 

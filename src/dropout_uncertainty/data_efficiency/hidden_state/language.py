@@ -73,17 +73,17 @@ class LanguageConfig:
     """Drop probability of the recurrent state and before the output."""
     input_drop: float = 0.1
     """Drop probability of the characters that are read."""
-    width: int = 128
+    width: int = 64
     """Units of the layer."""
-    train: int = 20_000
+    train: int = 10_000
     """Characters that are trained on: few, so that there is something to over-fit."""
-    test: int = 10_000
+    test: int = 5_000
     """Characters that follow and are not trained on."""
-    batch: int = 10
+    batch: int = 20
     """Parts that the text is cut into and that are read side by side."""
-    length: int = 50
+    length: int = 25
     """Characters of a sequence, over which gradients go back and masks are held."""
-    passes: int = 30
+    passes: int = 50
     """Times that the text is read."""
     rate: float = 0.005
     """Adam's step."""

@@ -8,7 +8,7 @@ Gaussian noise of learned size. Replicas R first, then sequences N or particles 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -41,6 +41,7 @@ class Fit:
     length_scale: float
 
 
+@runtime_checkable
 class Model(Protocol):
     """What can be fitted to sequences and followed."""
 

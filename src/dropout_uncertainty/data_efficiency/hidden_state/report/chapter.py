@@ -19,14 +19,14 @@ from dropout_uncertainty.page.profiles import complete
 from dropout_uncertainty.page.tables import Words
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.settings import config_dict
-from dropout_uncertainty.stats import in_words, t_interval
+from dropout_uncertainty.stats import Interval, in_words, t_interval
 
 __all__ = ["Runs", "answers", "models_table", "over_fitting", "runs"]
 
 SEEDS = (100, 101)
 #: What is smaller in live runs.
 TINY: dict[str, Any] = {"sizes": (5, 10), "steps": 60, "particles": 20}
-TINY_TEXT: dict[str, Any] = {"train": 5_000, "test": 2_500, "width": 32, "passes": 8}
+TINY_TEXT: dict[str, Any] = {"train": 5_000, "test": 2_500, "width": 32, "passes": 6}
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,15 @@ def answers(found: Runs) -> Words:
     lines = []
     for name, run in by_name.items():
         difference = t_interval(paired(held, run, lambda x: x.score))
-        lines.append(f"- beside **{MODELS[name]}**: {in_words(difference)} nats a number")
+        lines.append(f"- than the **{MODELS[name]}** it {read(difference)}: {in_words(difference)} nats a number.")
     return Words("The LSTM with held masks, its log density less that of the other:\n\n" + "\n".join(lines))
+
+
+def read(difference: Interval) -> str:
+    """Return what an interval of a difference of log densities says in words."""
+    if difference.low > 0:
+        return "predicts better"
+    return "predicts worse" if difference.high < 0 else "may predict better or worse"
 
 
 def over_fitting(found: Runs) -> Words:
