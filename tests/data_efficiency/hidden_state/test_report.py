@@ -105,7 +105,7 @@ def test_what_is_missing_is_one_line_and_what_is_there_is_drawn(folder):
         assert isinstance(draw(of), plt.Figure)
         assert draw([]) is None
     plt.close("all")
-    assert "than the **last observation** it predicts better: 0.69 [0.69, 0.70] nats" in chapter.answers(found).markdown
+    assert "than the **last observation** it predicts better: 0.69 [0.69, 0.69] nats" in chapter.answers(found).markdown
     assert chapter.over_fitting(found).markdown.count("nats a character") == 2
     assert [row[1] for row in chapter.models_table(found)[1]] == [20] * 4
     assert chapter.answers(chapter.Runs([], [])).markdown == ""

@@ -152,7 +152,8 @@ class Recurrent:
             bad = ~loss.detach().isfinite()
             repairs += bad
             for parameter in parameters:
-                parameter.grad = parameter.grad.masked_fill(bad.view(-1, 1, 1), 0.0)
+                if parameter.grad is not None:
+                    parameter.grad[bad] = 0.0
             adam.step()
             schedule.step()
             if step >= how.steps - tail:
