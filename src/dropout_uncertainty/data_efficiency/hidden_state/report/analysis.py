@@ -6,7 +6,7 @@ Nothing is run and nothing is drawn here.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -74,9 +74,14 @@ class Run:
         return np.abs(self._error) < 2
 
     @property
+    def by_size(self) -> Float[np.ndarray, "R sizes"]:
+        """Log density of a number [nats], mean over trials, steps, x and θ."""
+        return self.log_density.mean((2, 3, 4))
+
+    @property
     def score(self) -> Float[np.ndarray, " R"]:
-        """Log density of a number [nats], mean over sizes of data, trials, steps, x and θ: what DE13 is judged by."""
-        return self.log_density.mean((1, 2, 3, 4))
+        """The same, mean over sizes of data: what DE13 is judged by."""
+        return self.by_size.mean(1)
 
 
 @dataclass(frozen=True)
@@ -118,12 +123,13 @@ def load(name: str, folder: Path | None = None) -> Run | None:
 
 def reading(masks: str, run: Run | None) -> Reading | None:
     """Return a run of ``hidden/language-<masks>`` as what it is."""
-    return run and Reading(masks, run.seeds, run.arrays["train"], run.arrays["test"], run.records)
+    return Reading(masks, run.seeds, run.arrays["train"], run.arrays["test"], run.records) if run else None
 
 
-def paired(
-    first: Run | Reading, second: Run | Reading, quantity: Callable[[Run | Reading], np.ndarray]
-) -> Float[np.ndarray, " R"]:
+Kind = TypeVar("Kind", Run, Reading)
+
+
+def paired(first: Kind, second: Kind, quantity: Callable[[Kind], np.ndarray]) -> Float[np.ndarray, "R *rest"]:
     """Return the quantity of the first less that of the second, for the seeds that both have."""
     one, two = (dict(zip(run.seeds, quantity(run), strict=True)) for run in (first, second))
     return np.array([one[seed] - two[seed] for seed in first.seeds if seed in two])
@@ -136,23 +142,22 @@ def results(folder: Path | None = None) -> list[Result]:
         if run := load(name, folder):
             found += _of_prediction(run)
     for masks in LANGUAGES:
-        if run := reading(masks, load(f"language-{masks}", folder)):
+        if read := reading(masks, load(f"language-{masks}", folder)):
             rows = (
-                ("test", t_interval(run.end), "surprise of a character of other text after the last pass"),
-                ("lost", t_interval(run.lost), "that, less the least after any pass"),
-                ("gap", t_interval(run.gap), "that, less the surprise of the text that was trained on"),
+                ("test", t_interval(read.end), "surprise of a character of other text after the last pass"),
+                ("lost", t_interval(read.lost), "that, less the least after any pass"),
+                ("gap", t_interval(read.gap), "that, less the surprise of the text that was trained on"),
             )
-            found += _measured(run, f"{FAMILY}/language-{masks}", "nats", rows)
+            found += _measured(read, f"{FAMILY}/language-{masks}", "nats", rows)
     return found
 
 
 def _of_prediction(run: Run) -> list[Result]:
-    each = run.log_density.mean((2, 3, 4))
     words = "log density of x [m] or θ [rad], mean over 25 predicted steps"
     rows = [("log-density", t_interval(run.score), f"{words} and all sizes of data")]
     rows += [
         (f"log-density/{size}", t_interval(column), f"{words}, {size} trials of data")
-        for size, column in zip(run.sizes, each.T, strict=True)
+        for size, column in zip(run.sizes, run.by_size.T, strict=True)
     ]
     name = f"{FAMILY}/{run.name}"
     covered = t_interval(run.covered.mean((1, 2, 3, 4)))

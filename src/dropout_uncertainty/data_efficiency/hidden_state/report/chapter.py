@@ -25,7 +25,7 @@ __all__ = ["Runs", "answers", "models_table", "over_fitting", "runs"]
 
 SEEDS = (100, 101)
 #: What is smaller in live runs.
-TINY: dict[str, Any] = {"sizes": (5, 10), "steps": 60, "particles": 20}
+TINY: dict[str, Any] = {"sizes": (5, 10), "steps": 150, "particles": 20}
 TINY_TEXT: dict[str, Any] = {"train": 5_000, "test": 2_500, "width": 32, "passes": 6}
 
 

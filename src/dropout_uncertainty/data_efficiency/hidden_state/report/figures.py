@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import LANGUAGES, MODELS, Reading, Run
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
-from dropout_uncertainty.page.plotting import COLOURS, WIDTH, band, legend_above
+from dropout_uncertainty.page.plotting import COLOURS, FEW, WIDTH, band, legend_above
 from dropout_uncertainty.stats import t_interval
 
 __all__ = ["over_time", "readings", "scores", "trial"]
@@ -55,7 +55,8 @@ def scores(found: Sequence[Run]) -> Figure | None:
             middle = np.array([i.value for i in limits])
             reach = np.array([[i.value - i.low, i.high - i.value] for i in limits]).T
             x = np.array(run.sizes) * shift
-            ax.errorbar(x, middle, reach, color=colour, marker=marker, markersize=4, label=MODELS[run.name])
+            bars = reach if len(run.seeds) >= FEW else None
+            ax.errorbar(x, middle, bars, color=colour, marker=marker, markersize=4, label=MODELS[run.name])
     covered.axhline(NOMINAL, color=DARK, linewidth=0.8, linestyle=":")
     for ax, words in ((density, "log density of a number [nats]"), (covered, "within two predicted std")):
         ax.set_xscale("log")

@@ -23,11 +23,9 @@ def predicts_better(first: str, second: str, folder: Path | None) -> Measured | 
     one, two = load(first, folder), load(second, folder)
     if one is None or two is None:
         return None
-    beside = {
-        f"{size} trials": t_interval(paired(one, two, lambda run, i=i: run.log_density[:, i].mean((1, 2, 3))))
-        for i, size in enumerate(one.sizes)
-    }
-    return on_average(paired(one, two, lambda run: run.score), [*one.records, *two.records], beside=beside)
+    difference = paired(one, two, lambda run: run.by_size)
+    beside = {f"{size} trials": t_interval(column) for size, column in zip(one.sizes, difference.T, strict=True)}
+    return on_average(difference.mean(1), [*one.records, *two.records], beside=beside)
 
 
 def over_fits_less(first: str, second: str, folder: Path | None) -> Measured | None:
