@@ -129,7 +129,7 @@ def reading(masks: str, run: Run | None) -> Reading | None:
 Kind = TypeVar("Kind", Run, Reading)
 
 
-def paired(first: Kind, second: Kind, quantity: Callable[[Kind], np.ndarray]) -> Float[np.ndarray, "R *rest"]:
+def paired(first: Kind, second: Kind, quantity: Callable[[Kind], np.ndarray]) -> Float[np.ndarray, "R ..."]:
     """Return the quantity of the first less that of the second, for the seeds that both have."""
     one, two = (dict(zip(run.seeds, quantity(run), strict=True)) for run in (first, second))
     return np.array([one[seed] - two[seed] for seed in first.seeds if seed in two])
