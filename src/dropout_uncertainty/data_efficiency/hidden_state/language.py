@@ -31,18 +31,23 @@ from dropout_uncertainty.settings import of_type, tidy
 
 __all__ = ["CONFIGS", "MASKS", "Language", "LanguageConfig", "encoded", "start", "text"]
 
+FILE = Path("python-topics", "topics.txt.gz")
 #: SHA-256 of the uncompressed text.
 CHECKSUM = "2a95af4ac93f5b719944030ce3769070ddf827d847cba42192afa8da989e5dc4"
 MASKS = ("none", "fresh", "held")
 
 
 def text(path: Path | None = None) -> str:
-    """Return the topics of Python's documentation, from the file in the repository.
+    """Return the topics of Python's documentation, from the repository, or from beside a named folder of MNIST.
 
     Raises:
         UserError: if it is missing, unreadable or altered.
     """
-    path = path or (folders.checkout() or Path.cwd()) / "data" / "python-topics" / "topics.txt.gz"
+    mnist = folders.named(folders.DATA)
+    data = (folders.checkout() or Path.cwd()) / "data"
+    if mnist and not (data / FILE).exists():
+        data = mnist.parent
+    path = path or data / FILE
     try:
         content = gzip.decompress(path.read_bytes())
     except (OSError, EOFError, zlib.error) as error:

@@ -45,7 +45,8 @@ class Runs:
     @property
     def records(self) -> list[Record]:
         """The records of all this."""
-        return [record for run in (*self.models, *self.languages) for record in run.records]
+        found = [run.records for run in self.models] + [run.records for run in self.languages]
+        return [record for records in found for record in records]
 
     @property
     def missing(self) -> Words:
