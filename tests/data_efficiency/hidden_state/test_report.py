@@ -113,7 +113,13 @@ def test_what_is_missing_is_one_line_and_what_is_there_is_drawn(folder):
 
 def test_what_the_page_says_of_the_stored_runs():
     """Where this changes, write "What it means" again."""
-    said = {"DE13": "supported", "DE13b": "inconclusive", "DE16a": "no difference", "DE16b": "supported"}
+    said = {
+        "DE13": "supported",
+        "DE13b": "inconclusive",
+        "DE13d": "inconclusive",
+        "DE16a": "no difference",
+        "DE16b": "supported",
+    }
     assert {name: verdict(None, name) for name in said} == said
     found = judge([STATEMENTS["DE13"]], None)[0].measured
     widths = [interval.high - interval.low for interval in found.beside.values()]
