@@ -116,6 +116,7 @@ def test_what_the_page_says_of_the_stored_runs():
     said = {
         "DE13": "supported",
         "DE13b": "inconclusive",
+        "DE13c": "inconclusive",
         "DE13d": "inconclusive",
         "DE16a": "no difference",
         "DE16b": "supported",
