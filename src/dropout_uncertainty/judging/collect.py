@@ -9,6 +9,8 @@ from dropout_uncertainty.active_learning.report.statements import STATEMENTS as 
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as what_matters
 from dropout_uncertainty.data_efficiency.ablations.report.statements import STATEMENTS as WHAT_MATTERS
 from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
+from dropout_uncertainty.data_efficiency.hidden_state.report import analysis as hidden_state
+from dropout_uncertainty.data_efficiency.hidden_state.report.statements import STATEMENTS as HIDDEN_STATE
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.data_efficiency.report.statements import STATEMENTS as DATA_EFFICIENCY
 from dropout_uncertainty.exploration.report import analysis as exploration
@@ -36,7 +38,7 @@ def number(identifier: str) -> tuple[int, int, str]:
 STATEMENTS: dict[str, Statement] = {
     statement.id: statement
     for statement in sorted(
-        [*ACTIVE_LEARNING, *EXPLORATION, *DATA_EFFICIENCY, *WHAT_MATTERS], key=lambda s: number(s.id)
+        [*ACTIVE_LEARNING, *EXPLORATION, *DATA_EFFICIENCY, *WHAT_MATTERS, *HIDDEN_STATE], key=lambda s: number(s.id)
     )
 }
 
@@ -57,6 +59,8 @@ def collect(folder: Path | None = None) -> list[Result]:
     Raises:
         RecordError: if a record cannot be trusted.
     """
-    sections = (active_learning, pools, exploration, two_by_two, deep_sea, data_efficiency, what_matters, worth)
+    sections = (
+        active_learning, pools, exploration, two_by_two, deep_sea, data_efficiency, what_matters, worth, hidden_state,
+    )  # fmt: skip
     numbers = [result for section in sections for result in section.results(folder)]
     return numbers + [j.result() for j in judged(folder)]

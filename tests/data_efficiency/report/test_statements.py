@@ -57,11 +57,8 @@ def test_a_model_that_is_right_at_first_and_wrong_later(verdict):
     assert verdict("DE7d", doubt__pilco_mean=learner("right", 3)) == "no difference"
 
 
-def test_what_a_recurrent_network_and_many_dimensions_are_judged_by(verdict):
+def test_what_many_dimensions_are_judged_by(verdict):
     near, far = learner("near", 3, 0.1), learner("far", 3, 0.2)
-    recurrent, plain = "hidden_velocities__recurrent", "hidden_velocities__feed_forward"
-    assert verdict("DE13", **{recurrent: near, plain: far}) == "supported"
-    assert verdict("DE13", **{recurrent: far, plain: near}) == "contradicted"
     deep, pilco = "many_dimensions__deep_pilco", "many_dimensions__pilco"
     assert verdict("DE15", **{deep: near, pilco: learner("never", NEVER)}) == "supported"
     assert verdict("DE15", **{deep: near, pilco: far}) == "inconclusive"  # ten repetitions each

@@ -250,8 +250,8 @@ class DropoutDynamics:
         """Set the scaling from the data and return them scaled."""
         inputs, targets = inputs.to(self.log_noise), targets.to(self.log_noise)
         if self.standardise:
-            self.input_mean, self.input_std = _scaling(inputs)
-            self.target_mean, self.target_std = _scaling(targets)
+            self.input_mean, self.input_std = scaling(inputs)
+            self.target_mean, self.target_std = scaling(targets)
         return (inputs - self.input_mean) / self.input_std, (targets - self.target_mean) / self.target_std
 
     def _draw_block(self, count: int, batch: int, *path: str | int) -> tuple[Tensor, Masks]:
@@ -312,7 +312,7 @@ class MeanDynamics:
         return MeanDynamics(self.networks.select(replicas))
 
 
-def _scaling(data: Tensor) -> tuple[Tensor, Tensor]:
+def scaling(data: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean and standard deviation over the rows; 1 for a column that does not vary."""
     std = data.std(1, keepdim=True, correction=0)
     return data.mean(1, keepdim=True), torch.where(std > 1e-6, std, torch.ones_like(std))

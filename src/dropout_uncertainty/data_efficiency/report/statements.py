@@ -29,7 +29,10 @@ from dropout_uncertainty.stats import (
     t_interval,
 )
 
-__all__ = ["DOUBT", "MARGIN_COST", "MARGIN_LOG", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "dearer"]
+__all__ = [
+    "DEEP_TEXT", "DOUBT", "MARGIN_COST", "MARGIN_LOG", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "dearer",
+    "stated",
+]  # fmt: skip
 
 CHAPTER, DOUBT = "5_4_data_efficiency", "5_4_what_doubt_is_worth"
 #: Margins: of the mean cost per step of trials 1-25, of shares, of trials to solve, and of logarithms of deviations.
@@ -196,17 +199,6 @@ def fades(config: str, folder: Path | None) -> Measured:
     return on_average(right[..., :fifth].mean((1, 2)) - right[..., -fifth:].mean((1, 2)), learning.records)
 
 
-def predicts_better(first: str, second: str, folder: Path | None) -> Measured:
-    """Return the log ratio of two learners' root mean squared errors of the predicted angle, paired by seed."""
-    one, two = (needed(load(name, folder)) for name in (first, second))
-
-    def error(x: Learning) -> np.ndarray:
-        missed = x.arrays["states"][:, 1:, 1:, 3].astype(float) - x.arrays["predicted_mean"][:, 1:, 1:, 3]
-        return np.log(np.square(missed).mean((1, 2))) / 2
-
-    return on_average(apart(error, one, two), [*one.records, *two.records])
-
-
 def solved_more(first: str, second: str, trial: int, folder: Path | None) -> Measured:
     """Return the share of a learner's repetitions that are solved by a trial less that of another learner."""
     one, two = (needed(load(name, folder)) for name in (first, second))
@@ -263,10 +255,6 @@ STATEMENTS: list[Statement] = [
            PILCO_TEXT, "less", MARGIN_SHARE, partial(gradient, 0)),
     stated("DE11b", "Steps that PILCO predicts well have a larger share of its gradient than without uncertainty.",
            PILCO_TEXT, "more", MARGIN_SHARE, partial(gradient, 1), unit="share"),
-    stated("DE13", "Where the state is not fully seen, a recurrent Bayesian network predicts better.", DEEP_TEXT,
-           "less", MARGIN_LOG,
-           partial(predicts_better, "hidden-velocities/recurrent", "hidden-velocities/feed-forward"),
-           would_test="recurrent networks on a cart-pole whose velocities are hidden"),
     stated("DE14a", "Deep PILCO needs more trials than PILCO.", INTRODUCTION, "more", NEAR,
            partial(times_as_many, *DEEPER, 1.0), unit="times", thesis=1.0),
     stated("DE14b", "It needs slightly more: less than twice as many.", INTRODUCTION, "less", 2 * NEAR,

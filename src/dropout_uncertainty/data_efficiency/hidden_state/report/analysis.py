@@ -1,0 +1,172 @@
+"""Where the state is hidden, from records: how well each model predicts, and how the language models over-fit.
+
+Nothing is run and nothing is drawn here.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from dropout_uncertainty.data_efficiency.hidden_state import language, prediction
+from dropout_uncertainty.data_efficiency.hidden_state.prediction import FAMILY
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT
+from dropout_uncertainty.judging.results import Result, measured
+from dropout_uncertainty.runs import records
+from dropout_uncertainty.runs.records import Record
+from dropout_uncertainty.stats import Interval, common, t_interval
+
+__all__ = ["LANGUAGES", "MODELS", "Reading", "Run", "load", "paired", "reading", "results"]
+
+#: Models in words, by their configs.
+MODELS = {
+    "last-one": "last observation",
+    "last-four": "last four observations",
+    "lstm-held": "LSTM, held masks",
+    "lstm-fresh": "LSTM, fresh masks",
+    "lstm-no-dropout": "LSTM, no dropout",
+}
+#: Language models in words, by their configs.
+LANGUAGES = {"none": "no dropout", "fresh": "fresh masks", "held": "held masks"}
+
+
+@dataclass(frozen=True)
+class Run:
+    """R repetitions of a config: its settings, and its arrays, R first; no records of a live one."""
+
+    name: str
+    seeds: tuple[int, ...]
+    config: Mapping[str, Any]
+    arrays: Mapping[str, np.ndarray]
+    records: tuple[Record, ...] = ()
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Trials of data."""
+        return tuple(self.config["sizes"])
+
+    @property
+    def cpu(self) -> float:
+        """CPU seconds of a repetition: all its fits and predictions; NaN of a live run."""
+        spent = [record.header["provenance"].get("cpu_s", np.nan) for record in self.records]
+        return sum(spent) / len(self.seeds) if spent else np.nan
+
+    @property
+    def _error(self) -> Float[np.ndarray, "R sizes trials T 2"]:
+        """Observed less predicted, in predicted standard deviations."""
+        observed, mean, std = (
+            self.arrays[name].astype(float) for name in ("observed", "predicted_mean", "predicted_std")
+        )
+        return (observed - mean) / std
+
+    @property
+    def log_density(self) -> Float[np.ndarray, "R sizes trials T 2"]:
+        """Log density of what was observed under the predicted Gaussian, nats, of x [m] and θ [rad]."""
+        spread = np.log(self.arrays["predicted_std"].astype(float))
+        return -np.log(2 * np.pi) / 2 - spread - self._error**2 / 2
+
+    @property
+    def covered(self) -> Bool[np.ndarray, "R sizes trials T 2"]:
+        """Whether what was observed lies within two predicted standard deviations."""
+        return np.abs(self._error) < 2
+
+    @property
+    def by_size(self) -> Float[np.ndarray, "R sizes"]:
+        """Log density of a number [nats], mean over trials, steps, x and θ."""
+        return self.log_density.mean((2, 3, 4))
+
+    @property
+    def score(self) -> Float[np.ndarray, " R"]:
+        """The same, mean over sizes of data: what DE13 is judged by."""
+        return self.by_size.mean(1)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Language models that read a text several times: surprise of a character [nats] after each pass."""
+
+    name: str
+    seeds: tuple[int, ...]
+    train: Float[np.ndarray, "R passes"]
+    test: Float[np.ndarray, "R passes"]
+    records: tuple[Record, ...] = ()
+
+    @property
+    def end(self) -> Float[np.ndarray, " R"]:
+        """Surprise in test after the last pass."""
+        return self.test[:, -1].astype(float)
+
+    @property
+    def lost(self) -> Float[np.ndarray, " R"]:
+        """By how much that is above the least in test after any pass."""
+        return self.end - self.test.min(1)
+
+    @property
+    def gap(self) -> Float[np.ndarray, " R"]:
+        """By how much that is above the surprise in training, after the last pass."""
+        return self.end - self.train[:, -1]
+
+
+def load(name: str, folder: Path | None = None) -> Run | None:
+    """Return the stored repetitions of ``hidden/<name>``; None if there are none."""
+    config = {**prediction.CONFIGS, **language.CONFIGS}[f"{FAMILY}/{name}"]
+    found = records.find(EXPERIMENT, config, name=f"{FAMILY}/{name}", folder=folder, published=True)
+    if not found:
+        return None
+    seeds, arrays = records.joined(found)
+    return Run(name, seeds, found[0].header["config"], arrays, tuple(found))
+
+
+def reading(masks: str, run: Run | None) -> Reading | None:
+    """Return a run of ``hidden/language-<masks>`` as what it is."""
+    return Reading(masks, run.seeds, run.arrays["train"], run.arrays["test"], run.records) if run else None
+
+
+def paired(
+    first: Run | Reading, second: Run | Reading, quantity: Callable[[Any], np.ndarray]
+) -> Float[np.ndarray, "R ..."]:
+    """Return the quantity of the first less that of the second, for the seeds that both have."""
+    one, two = common(first.seeds, second.seeds)
+    return quantity(first)[one] - quantity(second)[two]
+
+
+def results(folder: Path | None = None) -> list[Result]:
+    """Return the numbers of this page, with ids as in ``python -m dropout_uncertainty results``."""
+    found = []
+    for name in MODELS:
+        if run := load(name, folder):
+            found += _of_prediction(run)
+    for masks in LANGUAGES:
+        if read := reading(masks, load(f"language-{masks}", folder)):
+            rows = (
+                ("test", t_interval(read.end), "surprise of a character of other text after the last pass"),
+                ("lost", t_interval(read.lost), "that, less the least after any pass"),
+                ("gap", t_interval(read.gap), "that, less the surprise of the text that was trained on"),
+            )
+            found += _measured(read, f"{FAMILY}/language-{masks}", "nats", rows)
+    return found
+
+
+def _of_prediction(run: Run) -> list[Result]:
+    words = "log density of x [m] or θ [rad], mean over 25 predicted steps"
+    rows = [("log-density", t_interval(run.score), f"{words} and all sizes of data")]
+    rows += [
+        (f"log-density/{size}", t_interval(column), f"{words}, {size} trials of data")
+        for size, column in zip(run.sizes, run.by_size.T, strict=True)
+    ]
+    name = f"{FAMILY}/{run.name}"
+    covered = t_interval(run.covered.mean((1, 2, 3, 4)))
+    return [
+        *_measured(run, name, "nats", rows),
+        *_measured(run, name, "share", [("coverage", covered, "observations within two predicted std")]),
+    ]
+
+
+def _measured(run: Run | Reading, name: str, unit: str, rows: Sequence[tuple[str, Interval, str]]) -> list[Result]:
+    return [
+        measured(f"{name}/{kind}", value, run.records, unit=unit, statistic=words, config=name)
+        for kind, value, words in rows
+    ]

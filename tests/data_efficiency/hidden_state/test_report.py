@@ -1,0 +1,127 @@
+"""Where the state is hidden, from small made-up records: scores, verdicts, words and pictures."""
+
+import matplotlib
+import numpy as np
+import pytest
+
+matplotlib.use("agg")
+import matplotlib.pyplot as plt
+
+from dropout_uncertainty.data_efficiency.configs import CONFIGS
+from dropout_uncertainty.data_efficiency.hidden_state.report import analysis, chapter, figures
+from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import LANGUAGES, MODELS
+from dropout_uncertainty.judging.collect import STATEMENTS
+from dropout_uncertainty.judging.statements import judge
+from dropout_uncertainty.runs import records
+from dropout_uncertainty.settings import config_dict, config_hash
+
+RUNS = 20
+
+
+def write(folder, name, arrays):
+    plain, runs = config_dict(CONFIGS[name]), len(next(iter(arrays.values())))
+    header = {
+        "experiment": "data_efficiency", "name": name, "seeds": list(range(runs)), "config": plain,
+        "config_hash": config_hash(plain), "device": "cpu", "precision": "float32", "provenance": {"cpu_s": 50.0},
+    }  # fmt: skip
+    arrays = {key: value.astype(np.float32) for key, value in arrays.items()}
+    records.write(folder / "data_efficiency" / name / f"000-{runs - 1:03d}.npz", arrays, header)
+
+
+def predicted(folder, name, std, off=1.0):
+    """Write predictions that are wrong by ``off`` of their standard deviations, which differ a little by seed."""
+    shape = RUNS, 3, 5, 25, 2
+    spread = std * np.exp(0.01 * np.random.default_rng(100).standard_normal((RUNS, 1, 1, 1, 1))) * np.ones(shape)
+    arrays = {"observed": off * spread, "predicted_mean": np.zeros(shape), "predicted_std": spread}
+    write(folder, f"hidden/{name}", arrays)
+
+
+def read(folder, masks, end):
+    passes = CONFIGS[f"hidden/language-{masks}"].passes
+    way = np.linspace(3, end, passes) + 0.001 * np.arange(5)[:, None]
+    test = np.minimum(way, 2.2) if end > 2.2 else way
+    test[:, -1] = end
+    write(folder, f"hidden/language-{masks}", {"train": way - 0.5, "test": test})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return records in which the LSTM with held masks is twice as sharp as one observation and as four."""
+    folder = tmp_path_factory.mktemp("hidden")
+    predicted(folder, "last-one", 0.2)
+    predicted(folder, "last-four", 0.1)
+    predicted(folder, "lstm-held", 0.1)
+    predicted(folder, "lstm-fresh", 0.05, off=3.0)
+    read(folder, "held", 2.0)
+    read(folder, "fresh", 2.3)
+    return folder
+
+
+def verdict(folder, name):
+    return judge([STATEMENTS[name]], folder)[0].verdict
+
+
+def test_every_config_is_shown():
+    shown = [*MODELS, *(f"language-{masks}" for masks in LANGUAGES)]
+    assert {f"hidden/{name}" for name in shown} == {name for name in CONFIGS if name.startswith("hidden/")}
+
+
+def test_the_log_density_is_that_of_a_gaussian(folder):
+    run = analysis.load("last-one", folder)
+    expected = -0.5 * np.log(2 * np.pi) - np.log(0.2) - 0.5
+    assert run.log_density.mean() == pytest.approx(expected, abs=0.01)
+    assert run.covered.all()
+    assert not analysis.load("lstm-fresh", folder).covered.any()
+
+
+def test_verdicts(folder):
+    assert verdict(folder, "DE13") == "supported"  # log 2 nats
+    assert verdict(folder, "DE13b") == "no difference"
+    assert verdict(folder, "DE13c") == "supported"  # a sharper prediction that is wrong is worse
+    assert verdict(folder, "DE13d") == "untested"
+    assert verdict(folder, "DE16a") == "supported"
+    assert verdict(folder, "DE16b") == "untested"
+
+
+def test_numbers_have_their_names(folder):
+    found = {result.id: result for result in analysis.results(folder)}
+    assert found["hidden/lstm-held/log-density"].seeds == list(range(20))
+    assert found["hidden/lstm-held/log-density/10"].ours == pytest.approx(-0.92 - np.log(0.1) - 0.5, abs=0.02)
+    assert found["hidden/last-one/coverage"].ours == 1
+    assert found["hidden/language-fresh/lost"].ours == pytest.approx(0.1, abs=0.01)
+    assert "hidden/lstm-no-dropout/log-density" not in found
+
+
+def test_pairs_share_their_seeds(folder):
+    held, one = (analysis.load(name, folder) for name in ("lstm-held", "last-one"))
+    assert np.allclose(analysis.paired(held, one, lambda run: run.score), np.log(2), atol=1e-4)
+
+
+def test_what_is_missing_is_one_line_and_what_is_there_is_drawn(folder):
+    found = chapter.Runs.of(lambda name: analysis.load(name, folder))
+    assert found.missing.markdown == "*Not run yet: `hidden/lstm-no-dropout`, `hidden/language-none`.*"
+    for draw, of in ((figures.readings, found.languages), (figures.scores, found.models), (figures.trial, found.models),
+                     (figures.over_time, found.models)):  # fmt: skip
+        assert isinstance(draw(of), plt.Figure)
+        assert draw([]) is None
+    plt.close("all")
+    assert "than the **last observation** it predicts better: 0.69 [0.69, 0.69] nats" in chapter.answers(found).markdown
+    assert chapter.over_fitting(found).markdown.count("nats a character") == 2
+    assert [row[1] for row in chapter.models_table(found)[1]] == [20] * 4
+    assert chapter.answers(chapter.Runs([], [])).markdown == ""
+
+
+def test_what_the_page_says_of_the_stored_runs():
+    """Where this changes, write "What it means" again."""
+    said = {
+        "DE13": "supported",
+        "DE13b": "inconclusive",
+        "DE13c": "inconclusive",
+        "DE13d": "inconclusive",
+        "DE16a": "no difference",
+        "DE16b": "supported",
+    }
+    assert {name: verdict(None, name) for name in said} == said
+    found = judge([STATEMENTS["DE13"]], None)[0].measured
+    widths = [interval.high - interval.low for interval in found.beside.values()]
+    assert min(widths) == widths[-1]
