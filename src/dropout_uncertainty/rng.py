@@ -74,5 +74,5 @@ def stacked(
 
 
 def uniform(seeds: Iterable[int], shape: tuple[int, ...], *path: str | int) -> Tensor:
-    """Return uniform numbers in [0, 1) of the streams of each replica, [R, *shape] in float64."""
+    """Return uniform numbers in [0, 1) of the streams of each replica, ``[R, *shape]`` in float64."""
     return stacked(lambda g: torch.rand(shape, dtype=torch.float64, generator=g), seeds, *path)
