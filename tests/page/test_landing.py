@@ -233,6 +233,7 @@ def test_a_learner_without_dropout_pays_more_and_its_trials_settle_nothing(facts
     low, high = interval(facts["no_dropout_trials"])
     assert low < 0 < high
     assert interval(facts["no_dropout_cost"])[0] > 0
+    assert interval(facts["on_mean_cost"])[0] > 0.05
 
 
 def test_steps_that_are_hard_to_predict_gain_weight(facts):

@@ -206,10 +206,10 @@ def _held(kind: str, folder: Path | None) -> str:
     return in_words(what_matters.factor(seen.log_std_ratio(f"held-{kind}", f"redrawn-{kind}")))
 
 
-def _no_dropout(what: str, spec: str, folder: Path | None) -> str:
-    """Return what Deep PILCO without dropout needs more than with it."""
+def _less_doubt(name: str, what: str, spec: str, folder: Path | None) -> str:
+    """Return what Deep PILCO without some of its doubt needs more than with all of it."""
     pairs = {pair.name: pair for pair in worth.pairs(worth.stored(folder))}
-    return in_words(getattr(needed(pairs.get("no-dropout")), what), spec)
+    return in_words(getattr(needed(pairs.get(name)), what), spec)
 
 
 def _doubt(folder: Path | None) -> str:
@@ -262,8 +262,9 @@ FACTS: Mapping[str, Callable[[Path | None], str]] = {
     "later_ours": lambda folder: _solved_later("deep-pilco-ours", folder),
     "held_free": lambda folder: _held("free", folder),
     "held_matched": lambda folder: _held("matched", folder),
-    "no_dropout_trials": lambda folder: _no_dropout("trials_difference", ".1f", folder),
-    "no_dropout_cost": lambda folder: _no_dropout("cost_difference", ".2f", folder),
+    "no_dropout_trials": lambda folder: _less_doubt("no-dropout", "trials_difference", ".1f", folder),
+    "no_dropout_cost": lambda folder: _less_doubt("no-dropout", "cost_difference", ".2f", folder),
+    "on_mean_cost": lambda folder: _less_doubt("mean-network", "cost_difference", ".2f", folder),
     "doubt": _doubt,
     **{name: functools.partial(_verdict, name) for name in SAID},
 }

@@ -16,6 +16,7 @@ from dropout_uncertainty.judging.collect import STATEMENTS
 from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.settings import config_dict, config_hash
+from dropout_uncertainty.stats import paired_difference
 
 RUNS, STEPS = 40, PAPER.steps
 rng = np.random.default_rng(100)
@@ -148,3 +149,18 @@ def test_pictures_and_sentences_show_the_numbers(folder):
 def test_statements_are_judged_by_these_records(folder):
     verdicts = {name: judge([STATEMENTS[name]], folder)[0].plain for name in ("DE7c", "DE7d", "DE5c")}
     assert verdicts == {"DE7c": "supported", "DE7d": "no difference", "DE5c": "supported"}
+
+
+def test_published_runs_are_what_the_page_was_written_for():
+    pairs = {pair.name: pair for pair in worth.pairs(worth.stored())}
+    on_mean, without = pairs["mean-network"], pairs["no-dropout"]
+    assert on_mean.cost_difference.low > 0.05  # the margin of cost
+    assert without.cost_difference.low > 0
+    between = [pair.first.trial_costs[:, 1:26].mean(1) for pair in (on_mean, without)]
+    assert paired_difference(*between).low > 0
+    assert on_mean.trials_difference.low > 0 > without.trials_difference.low
+    for pair in (on_mean, without):
+        assert all((learning.first_solved <= 25).mean() > 0.9 for learning in (pair.first, pair.second))
+        assert pair.first.broken_promise.mean() > 0.05
+        assert pair.first.covered[:, 1:].mean() < 0.5
+    assert not {"pilco-mean", "ensemble", "ensemble-mean"} & pairs.keys()
