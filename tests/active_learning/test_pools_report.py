@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dropout_uncertainty.active_learning.experiment import CONFIGS
-from dropout_uncertainty.active_learning.report import pools
+from dropout_uncertainty.active_learning.report import chapter, pools
 from dropout_uncertainty.active_learning.report.analysis import Row
 
 
@@ -32,12 +32,20 @@ def test_a_contrast_pairs_the_seeds_that_both_rows_have(found):
 
 
 def test_what_has_not_been_run_is_said_and_not_judged(found):
-    heads, cells = pools.verdicts(found)
+    heads, cells = chapter.verdicts(found)
     assert {line[0]: line[-1] for line in cells}["AL11"] == "untested"  # two seeds are too few
     assert {line[0]: line[4] for line in cells}["AL3e"] == "not run yet"
     assert all(len(line) == len(heads) for line in cells)
     heads, cells = pools.which_for_which({kind: {} for kind in found})
     assert {cell for line in cells for cell in line[1:]} == {"not run yet", None}
+
+
+def test_a_primary_statement_waits_for_as_many_seeds_as_on_the_scoreboard(found):
+    levels = {"dropout/bald": 10.0, "softmax/max-entropy": 15.0, "random": 14.0}
+    ambiguous = {name: row(name, level, tuple(range(10))) for name, level in levels.items()}
+    verdict = {line[0]: line[-1] for line in chapter.verdicts({**found, "ambiguous": ambiguous})[1]}
+    assert verdict["AL11"] == "untested"
+    assert verdict["AL11b"] == "supported"
 
 
 def test_every_comparison_is_of_rows_that_are_run():

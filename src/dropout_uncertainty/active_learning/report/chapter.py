@@ -4,10 +4,11 @@ from dropout_uncertainty.active_learning.experiment import CONFIGS, ROWS, units
 from dropout_uncertainty.active_learning.report import analysis, peaks
 from dropout_uncertainty.active_learning.report import pools as report
 from dropout_uncertainty.active_learning.report.analysis import Row
+from dropout_uncertainty.active_learning.report.statements import STATEMENTS
 from dropout_uncertainty.page.profiles import computed
 from dropout_uncertainty.page.tables import Words
 
-__all__ = ["kinds", "original", "peaks_in_tables", "pools", "rows", "threshold"]
+__all__ = ["kinds", "original", "peaks_in_tables", "pools", "rows", "threshold", "verdicts"]
 
 
 def rows(profile: str) -> dict[str, Row]:
@@ -44,6 +45,11 @@ def pools(profile: str) -> dict[str, dict[str, Row]]:
     full = [unit for seed in range(10) for name in names for unit in units(name, [seed])]
     with computed(profile, quick, full) as folder:
         return report.load() if folder is None else report.load("pools-quick", folder, published=False)
+
+
+def verdicts(found: dict[str, dict[str, Row]]) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells of the statements about pools, by the rules of the scoreboard."""
+    return report.verdicts(found, {statement.id: statement for statement in STATEMENTS})
 
 
 def kinds(profile: str) -> list[str]:

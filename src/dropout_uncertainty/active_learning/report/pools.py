@@ -12,7 +12,8 @@ from dropout_uncertainty.active_learning.experiment import CONFIGS, POOL_ROWS, S
 from dropout_uncertainty.active_learning.noisy_pools import Task
 from dropout_uncertainty.active_learning.report.analysis import LABELS, Row, load_rows, paired
 from dropout_uncertainty.judging.results import Result, listed
-from dropout_uncertainty.judging.rules import Side, comparison
+from dropout_uncertainty.judging.rules import Side
+from dropout_uncertainty.judging.statements import Statement
 from dropout_uncertainty.stats import in_words, mean_estimate, t_interval
 
 __all__ = [
@@ -101,13 +102,16 @@ def side_of(name: str) -> Side:
     return "more" if name in LARGER else "less"
 
 
-def verdicts(pools: Mapping[str, Mapping[str, Row]]) -> tuple[list[str], list[list[object]]]:
-    """Return heads and cells of the statements about pools; plain verdicts, not adjusted for their number."""
+def verdicts(
+    pools: Mapping[str, Mapping[str, Row]], statements: Mapping[str, Statement]
+) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells of the statements about pools, by id; plain verdicts, not adjusted for their number."""
     cells: list[list[object]] = []
     for name, pair in zip(CONTRASTS, contrasts(pools), strict=True):
-        found, side = mean_estimate(pair.difference), side_of(name)
+        found = mean_estimate(pair.difference)
         difference = in_words(found, ".1f") if found.n else "not run yet"
-        cells.append([name, pair.kind, pair.label, side, difference, found.n, comparison(found, side, MARGIN)])
+        verdict = statements[name].verdict(found)
+        cells.append([name, pair.kind, pair.label, side_of(name), difference, found.n, verdict])
     points = f"points, {RANGE[0]} to {RANGE[1]} acquired [95 %]"
     return ["", "pool", "difference", "claimed", points, "seeds", "verdict"], cells
 
