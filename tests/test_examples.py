@@ -22,10 +22,13 @@ def run(name, *arguments, folder, answers=""):
     return outcome.stdout.splitlines()
 
 
-def test_images_are_asked_for_and_their_labels_kept(tmp_path):
-    classes = np.arange(40) % 2
-    np.save(tmp_path / "images.npy", classes[:, None, None] + np.random.default_rng(100).random((40, 4, 4)))
-    run("label_your_images", "images.npy", "dark,light", "2", folder=tmp_path, answers="dark\nlight\n" * 5)
+@pytest.mark.parametrize("shape", [(4, 4), (4, 4, 1), (4, 4, 3)])
+def test_images_are_asked_for_and_their_labels_kept(tmp_path, shape):
+    classes = (np.arange(40) % 2).reshape(-1, *(1 for _ in shape))
+    images = 155 * classes + 100 * np.random.default_rng(100).random((40, *shape))
+    np.save(tmp_path / "images.npy", images.astype(np.uint8))
+    answers = "drak\n" + "dark\nlight\n" * 5  # what is no class is asked again
+    run("label_your_images", "images.npy", "dark,light", "2", folder=tmp_path, answers=answers)
     labels = np.loadtxt(tmp_path / "labels.csv", int, delimiter=",")
     assert labels.shape == (10, 2)
     assert labels[:5, 0].tolist() == [0, 1, 2, 3, 4]

@@ -183,7 +183,7 @@ class _Vanishing(ProcessPoolExecutor):
     def __init__(self, pool):
         self.pool = pool
 
-    def submit(self, *_):
+    def submit(self, *_, **__):
         return self.pool.submit(vanish)
 
 

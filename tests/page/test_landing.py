@@ -10,7 +10,7 @@ from dropout_uncertainty.data_efficiency.plant.cost import SOLVED_BELOW
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.report import analysis as exploration
-from dropout_uncertainty.judging.collect import collect
+from dropout_uncertainty.judging.collect import STATEMENTS, collect
 from dropout_uncertainty.judging.statements import StatementResult
 from dropout_uncertainty.page import landing
 
@@ -25,8 +25,10 @@ def results():
 
 def test_nine_statements_three_a_section(results):
     _, rows = landing.numbers(results, "{}")
+    primary = [statement for statement in STATEMENTS.values() if statement.primary]
     assert [row[0] for row in rows] == [
-        f"[{section}]({landing.CHAPTERS[section]})" for section in ("5.2", "5.3", "5.4") for _ in range(3)
+        f"[{section}]({statement.chapter})"
+        for section, statement in zip(sorted(3 * ("5.2", "5.3", "5.4")), primary, strict=True)
     ]
     computed = [r for r in results if isinstance(r, StatementResult) and r.primary]
     assert [re.match(r"\*\*(.*?)\*\*", row[2])[1] for row in rows] == [r.verdict for r in computed]

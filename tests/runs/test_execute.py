@@ -215,8 +215,8 @@ def test_any_executor_gives_the_same_records(tmp_path, executor):
 
 def test_records_made_on_another_disk_are_brought_here(tmp_path):
     class Elsewhere(ThreadPoolExecutor):
-        def submit(self, function, unit, folder):
-            return super().submit(function, unit, tmp_path / "elsewhere")
+        def submit(self, function, unit, folder, **options):
+            return super().submit(function, unit, tmp_path / "elsewhere", **options)
 
     units = [replace(toy.unit(), seeds=(seed,)) for seed in (100, 101)]
     execute.run_unit(units[0], tmp_path)

@@ -1,1 +1,1 @@
-"""Section 5.3: exploration in a 2D world, where Thompson sampling takes one draw of the weights per decision."""
+"""Section 5.3: exploration by weight draws in a 2D world, held for one decision or longer, and in Deep Sea."""

@@ -44,7 +44,6 @@ __all__ = ["FACTS", "PICTURES", "SAID", "USED", "facts", "numbers", "readme", "t
 README, FOLDER = Path("README.md"), Path("book", "_static", "front")
 #: Where the numbers stand in the README.
 BEGIN, END = "<!-- numbers: written by `dropout-uncertainty front` -->", "<!-- end of numbers -->"
-CHAPTERS = {"5.2": "5_2_active_learning", "5.3": "5_3_exploration", "5.4": "5_4_data_efficiency"}
 
 
 # ------------------------------------------------------------------ nine statements
@@ -65,7 +64,7 @@ def numbers(found: Iterable[Result] | None = None, link: str = "{}.ipynb") -> tu
 
 def _row(statement: Statement, result: Result | None, link: str) -> list[str]:
     title = SECTIONS[statement.id[:2]].split()[0]
-    section = f"[{title}]({link.format(CHAPTERS[title])})"
+    section = f"[{title}]({link.format(statement.chapter)})"
     if not isinstance(result, StatementResult):
         return [section, statement.text, f"**untested**: {statement.would_test}", "–", "0"]
     open_still = f": {result.why}" if result.verdict == "untested" else ""

@@ -6,6 +6,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import norm
 
+from dropout_uncertainty.exploration.deep_sea.experiment import AGENTS
 from dropout_uncertainty.exploration.report.deep_sea import analysis, figures
 from dropout_uncertainty.exploration.report.deep_sea.analysis import (
     CONTRASTS,
@@ -206,3 +207,8 @@ def test_results_carry_the_ids_that_other_programs_rely_on(some, monkeypatch):
 def test_without_records_there_are_no_results(tmp_path):
     assert results(tmp_path) == []
     assert load(tmp_path) == {}
+
+
+def test_every_agent_has_a_label_and_a_colour():
+    assert list(LABELS) == list(AGENTS)
+    assert set(figures.AGENT_COLOURS) == set(AGENTS)

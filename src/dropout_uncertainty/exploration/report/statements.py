@@ -223,7 +223,7 @@ def dived(identifier: str, text: str, other: str, *, primary: bool = False) -> S
     """Return a statement about the agent that holds a draw for an episode and another one, in Deep Sea."""
     return stated(
         identifier, text, "Section 5.3, first paragraph", "more", MARGIN_SHARE, partial(deeper, other), unit="share",
-        primary=primary, would_test="20 runs of both agents in Deep Sea of size 10, 2,000 episodes each",
+        primary=primary, would_test="40 runs of both agents in Deep Sea of size 10, 2,000 episodes each",
         chapter=TWO_BY_TWO,
     )  # fmt: skip
 

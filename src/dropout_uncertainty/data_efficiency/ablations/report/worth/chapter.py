@@ -127,8 +127,14 @@ def _live_estimates() -> Estimates:
 
 
 def pairs_table(found: Runs) -> tuple[list[str], list[list[object]]]:
-    """Return heads and cells: each pair's differences, and its broken promises and coverage."""
-    heads = ["", "pairs", "cost", "trials to solve", "promise broken by", "of the other", "coverage", "of the other"]
+    """Return heads and cells: each pair's differences, and what each of the two keeps, breaks and covers."""
+    heads = ["", "pairs", "cost", "trials to solve", "kept", "promise broken by", "coverage"]
+
+    def kept(learning: Learning) -> str:
+        return in_words(learning.kept, ".0%")
+
+    def promise(learning: Learning) -> str:
+        return in_words(t_interval(learning.broken_promise))
 
     def share(learning: Learning) -> str | None:
         values = coverage(learning)
@@ -137,8 +143,7 @@ def pairs_table(found: Runs) -> tuple[list[str], list[list[object]]]:
     return heads, [
         [
             PAIRS[x.name], len(x.first.seeds), in_words(x.cost_difference), in_words(x.trials_difference, ".1f"),
-            in_words(t_interval(x.first.broken_promise)), in_words(t_interval(x.second.broken_promise)),
-            share(x.first), share(x.second),
+            *(f"{say(x.first)} (other: {say(x.second)})" for say in (kept, promise, share)),
         ]
         for x in found.pairs
     ]  # fmt: skip
