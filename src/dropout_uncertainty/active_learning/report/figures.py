@@ -145,8 +145,8 @@ def forest(ax: Axes, pairs: Sequence[Contrast], margin: float = 1.0) -> Axes:
         ax.plot([low, high], [height, height], color=colour(pair.first))
         ax.plot(value, height, "o", color=colour(pair.first))
     ax.set_yticks(range(len(pairs)), [f"{pair.kind}: {pair.label} ({len(pair.difference)})" for pair in pairs])
-    ax.invert_yaxis()
-    ax.set(xlabel="difference of test error, 100 to 300 acquired [points]")
+    ax.set_ylim(len(pairs) - 0.5, -0.5)
+    ax.set(xlabel="difference of test error,\n100 to 300 acquired [points]")
     return ax
 
 
