@@ -18,6 +18,7 @@ from dropout_uncertainty.exploration import q_network
 from dropout_uncertainty.exploration.agent import CHUNK
 from dropout_uncertainty.exploration.deep_sea import experiment as seas
 from dropout_uncertainty.exploration.experiment import BLOCK, CONFIGS, Foraging, start
+from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.rng import generator
 from dropout_uncertainty.runs.records import provenance
 
@@ -110,7 +111,7 @@ def by_part(config, replicas, blocks):
     watch.watch(made.world, "inputs", "world: eyes")
     watch.watch(made.world, "step", "world: step and reward")
     watch.watch(made.world, "reward", "world: step and reward")
-    watch.watch(made, "_environment", "random numbers")
+    watch.watch(world, "coming_numbers", "random numbers")
     watch.watch(q_network, "product", "learn: matrix products")
     for agent in made.agents:
         watch.watch(agent, "prepare", "random numbers")
@@ -125,6 +126,7 @@ def by_part(config, replicas, blocks):
     for _ in range(blocks):
         made.advance()
     q_network.MaskStream.at, q_network.product = masks, q_network.product.__wrapped__
+    world.coming_numbers = world.coming_numbers.__wrapped__
     total = sum(watch.seconds.values())
     print(f"\nMicroseconds of a tick by part, {replicas} replicas of {len(made.agents)} agents")
     for part, spent in sorted(watch.seconds.items(), key=lambda item: -item[1]):
