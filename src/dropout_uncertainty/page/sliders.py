@@ -149,6 +149,7 @@ SCRIPT = """(figure, prepare, data) => {
 
   function draw(svg, { x, y, paths }) {
     const box = svg.getBoundingClientRect(), left = 34, top = 20;
+    if (!box.width) return; // on paper there is no figure
     const width = box.width - left - 12, height = box.height - top - 38;
     const place = ({ low, high }, size) => (value) => +(((value - low) / (high - low)) * size).toFixed(1);
     const across = place(x, width), down = place({ low: y.high, high: y.low }, height);
