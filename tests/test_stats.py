@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import stats as scipy_stats
@@ -86,6 +88,7 @@ def test_what_runs_do_not_reach_is_said():
     assert stats.in_words(stats.median_interval(np.array([9.0, 10.0, np.inf] * 3)), ".0f") == "10 [9, not reached]"
     assert stats.in_words(stats.Interval(np.inf, 30.0, np.inf, 5), ".0f", unbounded="> 98") == "> 98 [30, > 98]"
     assert stats.in_words(stats.Interval(np.inf, np.inf, np.inf, 5)) == "not reached"
+    assert stats.in_words(stats.Interval(1.0, -np.inf, 2.0, 5), unbounded="…") == "1.00 […, 2.00]"
     assert stats.in_digits(-0.0004, "+.3f") == "+0.000"
     assert stats.in_digits(-np.inf, unbounded="…") == "…"
 
@@ -99,6 +102,17 @@ def test_paired_samples_must_pair_up():
 def test_seeds_that_all_samples_have():
     assert stats.common((3, 1, 2), [2, 3]) == [[0, 2], [1, 0]]
     assert stats.common([0, 1], [2]) == [[], []]
+
+
+def test_repetitions_are_compared_by_seed():
+    one = SimpleNamespace(seeds=(3, 1, 2), x=np.array([3.0, 1.0, 2.0]))
+    two = SimpleNamespace(seeds=[2, 3], x=np.array([20.0, 30.0]))
+    assert stats.apart(lambda sample: sample.x, one, two).tolist() == [-27, -18]
+
+
+def test_an_interval_is_told_by_its_side_of_0():
+    words = [stats.told(stats.Interval(0.0, *ends, 5), "more", "less", "open") for ends in ((1, 2), (-2, -1), (-1, 1))]
+    assert words == ["more", "less", "open"]
 
 
 def test_estimates_by_hand():

@@ -17,7 +17,7 @@ from typing import SupportsIndex
 import torch
 from torch import Generator, Tensor
 
-__all__ = ["check_seeds", "derived", "generator", "stacked", "uniform"]
+__all__ = ["check_seeds", "derived", "generator", "normal", "stacked", "uniform"]
 
 
 def generator(seed: SupportsIndex, *path: str | SupportsIndex, device: str | torch.device = "cpu") -> Generator:
@@ -71,6 +71,11 @@ def stacked(
     A replica gets the same numbers alone as among others, because each seed has streams of its own.
     """
     return torch.stack([draw(generator(seed, *path, device=device)) for seed in seeds])
+
+
+def normal(seeds: Iterable[int], shape: tuple[int, ...], *path: str | int) -> Tensor:
+    """Return standard normal numbers of the streams of each replica, ``[R, *shape]`` in float64."""
+    return stacked(lambda g: torch.randn(shape, dtype=torch.float64, generator=g), seeds, *path)
 
 
 def uniform(seeds: Iterable[int], shape: tuple[int, ...], *path: str | int) -> Tensor:

@@ -9,14 +9,15 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy import ndimage
 from scipy import stats as scipy_stats
 
 __all__ = [
-    "CONFIDENCE", "Estimate", "Interval", "Statistic", "bootstrap_estimate", "bootstrap_interval", "common",
+    "CONFIDENCE", "Estimate", "Interval", "Statistic", "apart", "bootstrap_estimate", "bootstrap_interval", "common",
     "crossing_interval", "difference_of_shares", "first_crossings", "in_digits", "in_words", "mean_estimate",
     "median_filter", "median_interval", "paired_difference", "share_estimate", "share_interval", "smaller_median",
-    "t_interval",
+    "t_interval", "told",
 ]  # fmt: skip
 
 CONFIDENCE = 0.95
@@ -70,7 +71,13 @@ def in_words(found: Interval | Estimate, spec: str = ".2f", unbounded: str = "no
     Limits are left out where there are none, or where both are infinite.
     """
     value, low, high = (in_digits(number, spec, unbounded) for number in found[:3])
-    return f"{value} [{low}, {high}]" if math.isfinite(found.low) else value
+    none = math.isnan(found.low) or (math.isinf(found.low) and math.isinf(found.high))
+    return value if none else f"{value} [{low}, {high}]"
+
+
+def told(difference: Interval, above: str, below: str, between: str) -> str:
+    """Return the words for an interval that lies above 0, below it, or on both sides."""
+    return above if difference.low > 0 else below if difference.high < 0 else between
 
 
 def _unknown(value: float, n: int) -> Estimate:
@@ -205,6 +212,12 @@ def common(*seeds: Sequence[int]) -> list[list[int]]:
     """Return for each sample the places of the seeds that all of them have, in the order of the first."""
     shared = [seed for seed in seeds[0] if all(seed in own for own in seeds)]
     return [[own.index(seed) for seed in shared] for own in seeds]
+
+
+def apart(quantity: Callable[[Any], np.ndarray], first: Any, second: Any) -> Float[np.ndarray, "R ..."]:
+    """Return a quantity of some repetitions less that of others, for the ``seeds`` that both have."""
+    one, two = common(first.seeds, second.seeds)
+    return quantity(first)[one] - quantity(second)[two]
 
 
 def paired_difference(first: Sequence[float] | np.ndarray, second: Sequence[float] | np.ndarray) -> Interval:

@@ -8,10 +8,11 @@ import torch
 from toy import finish
 
 from dropout_uncertainty.data_efficiency import configs
-from dropout_uncertainty.data_efficiency.hidden_state import prediction
+from dropout_uncertainty.data_efficiency.hidden_state import language, prediction
 from dropout_uncertainty.data_efficiency.hidden_state.prediction import CONFIGS, PredictionConfig, stored_trials
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
+from dropout_uncertainty.runs.unit import RunError
 from dropout_uncertainty.settings import config_diff
 
 SMALL = {"hidden": (8,), "sizes": (2, 3), "ahead": 2, "steps": 4, "particles": 3}
@@ -89,3 +90,9 @@ def test_settings_that_cannot_be_are_refused(change, words):
 def test_more_trials_than_there_are_is_one_sentence():
     with pytest.raises(ValueError, match="got 41 of deep-pilco-ours"):
         prediction.start(replace(small(), sizes=(40,)), (100,))
+
+
+@pytest.mark.parametrize("module", [prediction, language])
+def test_another_device_is_refused(module):
+    with pytest.raises(RunError, match="run on the CPU, got the device cuda"):
+        module.start(next(iter(module.CONFIGS.values())), (100,), device="cuda")

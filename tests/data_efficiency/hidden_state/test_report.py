@@ -7,6 +7,7 @@ import pytest
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
 
+from dropout_uncertainty import stats
 from dropout_uncertainty.data_efficiency.configs import CONFIGS
 from dropout_uncertainty.data_efficiency.hidden_state.report import analysis, chapter, figures
 from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import LANGUAGES, MODELS
@@ -94,7 +95,7 @@ def test_numbers_have_their_names(folder):
 
 def test_pairs_share_their_seeds(folder):
     held, one = (analysis.load(name, folder) for name in ("lstm-held", "last-one"))
-    assert np.allclose(analysis.paired(held, one, lambda run: run.score), np.log(2), atol=1e-4)
+    assert np.allclose(stats.apart(lambda run: run.score, held, one), np.log(2), atol=1e-4)
 
 
 def test_what_is_missing_is_one_line_and_what_is_there_is_drawn(folder):

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import combinations
+from operator import methodcaller
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from dropout_uncertainty.judging.statements import (
     on_average,
     shifted,
 )
-from dropout_uncertainty.stats import Interval, Statistic, bootstrap_estimate, first_crossings
+from dropout_uncertainty.stats import Interval, Statistic, apart, bootstrap_estimate, first_crossings
 
 __all__ = ["STATEMENTS", "ranges"]
 
@@ -120,13 +121,7 @@ def curves(first: str, second: str, acquired: tuple[int, int], folder: Path | No
     """Return the test error of one row less that of another, paired by seed."""
     rows = load_rows(family, folder)
     one, two = (needed(rows.get(name)) for name in (first, second))
-    return on_average(apart(acquired, one, two), [*one.records, *two.records])
-
-
-def apart(acquired: tuple[int, int], first: Row, second: Row) -> Float[np.ndarray, " R"]:
-    """Return the mean test error of one row less that of another over a range, one number per seed of both."""
-    one, two = paired(first, second)
-    return one.mean(acquired) - two.mean(acquired)
+    return on_average(apart(methodcaller("mean", acquired), one, two), [*one.records, *two.records])
 
 
 def compared(
@@ -295,6 +290,6 @@ def ranges() -> Iterator[tuple[Statement, Callable[..., Any], tuple[str, ...], t
         match statement.measure:
             case partial(func=func, args=(first, second, acquired), keywords={**others}) if func is curves:
                 if not others:  # else it is about a pool
-                    yield statement, partial(apart, acquired), (first, second), acquired
+                    yield statement, partial(apart, methodcaller("mean", acquired)), (first, second), acquired
             case partial(func=func, args=(name,)) if func is slope:
                 yield statement, rise, (name,), LAST

@@ -135,8 +135,7 @@ class Gradients(PilcoLearning):
     def _numbers(self, draw: int) -> tuple[Tensor, Tensor]:
         """Return start states [R, K, 4] and noise [R, T, K, 4] of an estimate."""
         plant, shape = self.config.plant, (self.config.plant.steps + 1, self.config.particles, 4)
-        normal = lambda g: torch.randn(shape, generator=g, dtype=torch.float64)  # noqa: E731
-        noise = rng.stacked(normal, self.seeds, "estimates", self.done, draw).to(self.device)
+        noise = rng.normal(self.seeds, shape, "estimates", self.done, draw).to(self.device)
         return noise.new_tensor(plant.start_mean) + plant.start_std * noise[:, 0], noise[:, 1:]
 
 

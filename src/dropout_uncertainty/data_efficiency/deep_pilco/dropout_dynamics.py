@@ -6,11 +6,11 @@ turns it into the function that each particle follows: whoever keeps the functio
 
 import copy
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from dropout_uncertainty import rng
@@ -210,12 +210,7 @@ class DropoutDynamics:
                 x.gather(1, chosen.expand(-1, -1, x.shape[-1])), y.gather(1, chosen.expand(-1, -1, y.shape[-1])),
                 tuple(m if m is None else m[:, part] for m in masks), decays,
             )  # fmt: skip
-            bad = ~loss.isfinite()
-            if bad.any():
-                repairs += bad
-                for parameter in parameters:
-                    if parameter.grad is not None:
-                        parameter.grad[bad] = 0.0
+            repairs += without_gradient(~loss.isfinite(), parameters)
             adam.step()
             schedule.step()
             if step >= steps - tail:
@@ -310,6 +305,15 @@ class MeanDynamics:
     def select(self, replicas: Sequence[int]) -> "MeanDynamics":
         """Return a copy with some of the replicas."""
         return MeanDynamics(self.networks.select(replicas))
+
+
+def without_gradient(bad: Bool[Tensor, " R"], parameters: Iterable[Tensor]) -> Bool[Tensor, " R"]:
+    """Set the gradients of some replicas to 0, and return which."""
+    if bad.any():
+        for parameter in parameters:
+            if parameter.grad is not None:
+                parameter.grad[bad] = 0.0
+    return bad
 
 
 def scaling(data: Tensor) -> tuple[Tensor, Tensor]:

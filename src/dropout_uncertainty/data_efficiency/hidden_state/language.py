@@ -26,7 +26,7 @@ from dropout_uncertainty.data_efficiency.hidden_state.lstm import LSTM, Memory
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import precision_dtype
+from dropout_uncertainty.runs.unit import only_cpu, precision_dtype
 from dropout_uncertainty.settings import of_type, tidy
 
 __all__ = ["CONFIGS", "MASKS", "Language", "LanguageConfig", "encoded", "start", "text"]
@@ -192,9 +192,11 @@ def start(config: LanguageConfig, seeds: Sequence[int], device: str = "cpu", pre
     """Return the process of one unit, on a CPU.
 
     Raises:
+        RunError: for another device.
         ValueError: without seeds.
         UserError: if the text is missing.
     """
+    only_cpu("language models", device)
     return Language(of_type(LanguageConfig, config, "config"), seeds, precision_dtype(precision))
 
 

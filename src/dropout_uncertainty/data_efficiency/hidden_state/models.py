@@ -21,6 +21,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import (
     LOG_NOISE_START,
     DropoutDynamics,
     scaling,
+    without_gradient,
 )
 from dropout_uncertainty.data_efficiency.hidden_state.lstm import LSTM
 
@@ -149,11 +150,7 @@ class Recurrent:
             loss = loss + sum(d * w.square().sum((1, 2)) for d, w in zip(decays, self.net.weights, strict=True))
             adam.zero_grad()
             loss.sum().backward()
-            bad = ~loss.detach().isfinite()
-            repairs += bad
-            for parameter in parameters:
-                if parameter.grad is not None:
-                    parameter.grad[bad] = 0.0
+            repairs += without_gradient(~loss.detach().isfinite(), parameters)
             adam.step()
             schedule.step()
             if step >= how.steps - tail:

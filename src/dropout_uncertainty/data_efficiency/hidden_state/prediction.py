@@ -21,7 +21,7 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import precision_dtype
+from dropout_uncertainty.runs.unit import only_cpu, precision_dtype
 from dropout_uncertainty.settings import of_type, tidy
 
 __all__ = ["CONFIGS", "FAMILY", "Prediction", "PredictionConfig", "stored_trials"]
@@ -125,15 +125,11 @@ class Prediction:
             raise ValueError(
                 f"expected {max(config.sizes)} trials and {config.ahead} more, got {true.shape[1]} of {config.source}"
             )
-        noise = self._normal(true.shape[1:], "observations")
+        noise = rng.normal(self.seeds, tuple(true.shape[1:]), "hidden", "observations")
         self.observed, self.forces = (true + config.noise * noise).to(dtype), forces.to(dtype)
         shape = len(self.seeds), self.total, config.ahead, forces.shape[-1], len(SEEN)
         self.log = {name: torch.full(shape, torch.nan) for name in ("observed", "predicted_mean", "predicted_std")}
         self.log |= {"loss": torch.full(shape[:2], torch.nan), "repairs": torch.zeros(shape[:2])}
-
-    def _normal(self, shape: Sequence[int], *path: str | int) -> Tensor:
-        draw = lambda g: torch.randn(tuple(shape), generator=g, dtype=torch.float64)  # noqa: E731
-        return rng.stacked(draw, self.seeds, "hidden", *path)
 
     def advance(self) -> str:
         """Train on the next size of data and predict."""
@@ -142,7 +138,8 @@ class Prediction:
         model = config.model(self.seeds, self.dtype)
         seen = inputs_of(self.observed[:, old, :-1], self.forces[:, old])
         loss, repairs = model.fit(seen, self.observed[:, old].diff(dim=2), "fit", size, how=config.fit(steps))
-        noise = self._normal((config.ahead, config.particles, steps, len(SEEN)), "particles", size).to(self.dtype)
+        shape = config.ahead, config.particles, steps, len(SEEN)
+        noise = rng.normal(self.seeds, shape, "hidden", "particles", size).to(self.dtype)
         first, true = self.observed[:, new, 0], self.observed[:, new, 1:]
         mean, std = free_run(model, first, self.forces[:, new], noise, "predict", size)
         values = {"observed": true, "predicted_mean": mean, "predicted_std": std, "loss": loss, "repairs": repairs}
@@ -170,9 +167,11 @@ def start(
     """Return the process of one unit, on a CPU.
 
     Raises:
+        RunError: for another device.
         ValueError: without seeds.
         UserError: if the trials are not stored.
     """
+    only_cpu("models of hidden states", device)
     return Prediction(of_type(PredictionConfig, config, "config"), seeds, precision_dtype(precision))
 
 

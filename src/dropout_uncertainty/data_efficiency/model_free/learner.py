@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 from dropout_uncertainty.data_efficiency.plant.extrapolation import step_each
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import RunError, precision_dtype
+from dropout_uncertainty.runs.unit import only_cpu, precision_dtype
 from dropout_uncertainty.settings import of_type
 
 __all__ = ["CONFIGS", "ModelFree", "start"]
@@ -163,8 +163,7 @@ def start(config: ModelFreeConfig, seeds: Sequence[int], device: str = "cpu", pr
     Raises:
         RunError: for another device, or an unknown precision.
     """
-    if torch.device(device).type != "cpu":
-        raise RunError(f"learners without a model run on the CPU, got the device {device}")
+    only_cpu("learners without a model", device)
     return ModelFree(config, seeds, precision_dtype(precision))
 
 

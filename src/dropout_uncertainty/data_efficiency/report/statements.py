@@ -21,8 +21,8 @@ from dropout_uncertainty.judging.results import printed
 from dropout_uncertainty.judging.statements import NEAR, Measured, Statement, from_range, needed, on_average, shifted
 from dropout_uncertainty.stats import (
     Statistic,
+    apart,
     bootstrap_estimate,
-    common,
     difference_of_shares,
     share_estimate,
     smaller_median,
@@ -162,14 +162,6 @@ FIGURE_5_8 = [
 
 
 # ------------------------------------------------------------------ doubt
-
-
-def apart(
-    quantity: Callable[[Learning], Float[np.ndarray, " R"]], first: Learning, second: Learning
-) -> Float[np.ndarray, " R"]:
-    """Return a quantity of one learner less that of another, for each seed that both have."""
-    one, two = common(first.seeds, second.seeds)
-    return quantity(first)[one] - quantity(second)[two]
 
 
 def dearer(first: tuple[str, ...], second: str, trials: int, folder: Path | None) -> Measured:

@@ -3,7 +3,7 @@
 Nothing is run and nothing is drawn here.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ from jaxtyping import Bool, Float
 from dropout_uncertainty.data_efficiency.hidden_state import language, prediction
 from dropout_uncertainty.data_efficiency.hidden_state.prediction import FAMILY
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT
-from dropout_uncertainty.judging.results import Result, measured
+from dropout_uncertainty.judging.results import Result, listed
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, common, t_interval
+from dropout_uncertainty.stats import t_interval
 
-__all__ = ["LANGUAGES", "MODELS", "Reading", "Run", "load", "paired", "reading", "results"]
+__all__ = ["LANGUAGES", "MODELS", "Reading", "Run", "load", "reading", "results"]
 
 #: Models in words, by their configs.
 MODELS = {
@@ -125,14 +125,6 @@ def reading(masks: str, run: Run | None) -> Reading | None:
     return Reading(masks, run.seeds, run.arrays["train"], run.arrays["test"], run.records) if run else None
 
 
-def paired(
-    first: Run | Reading, second: Run | Reading, quantity: Callable[[Any], np.ndarray]
-) -> Float[np.ndarray, "R ..."]:
-    """Return the quantity of the first less that of the second, for the seeds that both have."""
-    one, two = common(first.seeds, second.seeds)
-    return quantity(first)[one] - quantity(second)[two]
-
-
 def results(folder: Path | None = None) -> list[Result]:
     """Return the numbers of this page, with ids as in ``python -m dropout_uncertainty results``."""
     found = []
@@ -142,31 +134,23 @@ def results(folder: Path | None = None) -> list[Result]:
     for masks in LANGUAGES:
         if read := reading(masks, load(f"language-{masks}", folder)):
             rows = (
-                ("test", t_interval(read.end), "surprise of a character of other text after the last pass"),
-                ("lost", t_interval(read.lost), "that, less the least after any pass"),
-                ("gap", t_interval(read.gap), "that, less the surprise of the text that was trained on"),
+                ("test", t_interval(read.end), "nats", "surprise of a character of other text after the last pass"),
+                ("lost", t_interval(read.lost), "nats", "that, less the least after any pass"),
+                ("gap", t_interval(read.gap), "nats", "that, less the surprise of the text that was trained on"),
             )
-            found += _measured(read, f"{FAMILY}/language-{masks}", "nats", rows)
+            name = f"{FAMILY}/language-{masks}"
+            found += listed(name, rows, read.records, name)
     return found
 
 
 def _of_prediction(run: Run) -> list[Result]:
     words = "log density of x [m] or θ [rad], mean over 25 predicted steps"
-    rows = [("log-density", t_interval(run.score), f"{words} and all sizes of data")]
+    rows = [("log-density", t_interval(run.score), "nats", f"{words} and all sizes of data")]
     rows += [
-        (f"log-density/{size}", t_interval(column), f"{words}, {size} trials of data")
+        (f"log-density/{size}", t_interval(column), "nats", f"{words}, {size} trials of data")
         for size, column in zip(run.sizes, run.by_size.T, strict=True)
     ]
-    name = f"{FAMILY}/{run.name}"
     covered = t_interval(run.covered.mean((1, 2, 3, 4)))
-    return [
-        *_measured(run, name, "nats", rows),
-        *_measured(run, name, "share", [("coverage", covered, "observations within two predicted std")]),
-    ]
-
-
-def _measured(run: Run | Reading, name: str, unit: str, rows: Sequence[tuple[str, Interval, str]]) -> list[Result]:
-    return [
-        measured(f"{name}/{kind}", value, run.records, unit=unit, statistic=words, config=name)
-        for kind, value, words in rows
-    ]
+    rows.append(("coverage", covered, "share", "observations within two predicted std"))
+    name = f"{FAMILY}/{run.name}"
+    return listed(name, rows, run.records, name)

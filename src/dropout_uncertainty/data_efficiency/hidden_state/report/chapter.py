@@ -12,14 +12,14 @@ from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import (
     MODELS,
     Reading,
     Run,
-    paired,
     reading,
 )
 from dropout_uncertainty.page.profiles import complete
 from dropout_uncertainty.page.tables import Words
+from dropout_uncertainty.runs.process import finished
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.settings import config_dict
-from dropout_uncertainty.stats import Interval, in_words, t_interval
+from dropout_uncertainty.stats import apart, in_words, t_interval, told
 
 __all__ = ["Runs", "answers", "models_table", "over_fitting", "runs"]
 
@@ -68,10 +68,7 @@ def _live(name: str) -> Run:
     full = f"{FAMILY}/{name}"
     config = replace(configs.CONFIGS[full], **(TINY if name in MODELS else TINY_TEXT))
     (unit,) = configs.units(full, SEEDS)
-    process = unit.start(config, SEEDS)
-    while process.done < process.total:
-        process.advance()
-    return Run(name, SEEDS, config_dict(config), process.result())
+    return Run(name, SEEDS, config_dict(config), finished(unit.start(config, SEEDS)).result())
 
 
 def models_table(found: Runs) -> tuple[list[str], list[list[object]]]:
@@ -94,16 +91,10 @@ def answers(found: Runs) -> Words:
         return Words("")
     lines = []
     for name, run in by_name.items():
-        difference = t_interval(paired(held, run, lambda x: x.score))
-        lines.append(f"- than the **{MODELS[name]}** it {read(difference)}: {in_words(difference)} nats a number.")
+        difference = t_interval(apart(lambda x: x.score, held, run))
+        words = told(difference, "predicts better", "predicts worse", "may predict better or worse")
+        lines.append(f"- than the **{MODELS[name]}** it {words}: {in_words(difference)} nats a number.")
     return Words("The LSTM with held masks, its log density less that of the other:\n\n" + "\n".join(lines))
-
-
-def read(difference: Interval) -> str:
-    """Return what an interval of a difference of log densities says in words."""
-    if difference.low > 0:
-        return "predicts better"
-    return "predicts worse" if difference.high < 0 else "may predict better or worse"
 
 
 def over_fitting(found: Runs) -> Words:

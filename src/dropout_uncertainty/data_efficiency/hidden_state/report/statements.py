@@ -3,11 +3,11 @@
 from functools import partial
 from pathlib import Path
 
-from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import load, paired, reading
+from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import load, reading
 from dropout_uncertainty.data_efficiency.report.statements import DEEP_TEXT, MARGIN_LOG
 from dropout_uncertainty.data_efficiency.report.statements import stated as of_section
 from dropout_uncertainty.judging.statements import Measured, Statement, needed, on_average
-from dropout_uncertainty.stats import t_interval
+from dropout_uncertainty.stats import apart, t_interval
 
 __all__ = ["STATEMENTS"]
 
@@ -21,7 +21,7 @@ stated = partial(of_section, chapter=CHAPTER, unit="nats")
 def predicts_better(first: str, second: str, folder: Path | None) -> Measured:
     """Return a model's log density less that of another, mean over sizes of data, paired by seed; each size beside."""
     one, two = (needed(load(name, folder)) for name in (first, second))
-    difference = paired(one, two, lambda run: run.by_size)
+    difference = apart(lambda run: run.by_size, one, two)
     beside = {f"{size} trials": t_interval(column) for size, column in zip(one.sizes, difference.T, strict=True)}
     return on_average(difference.mean(1), [*one.records, *two.records], beside=beside)
 
@@ -29,7 +29,7 @@ def predicts_better(first: str, second: str, folder: Path | None) -> Measured:
 def over_fits_less(first: str, second: str, folder: Path | None) -> Measured:
     """Return the surprise in test at the end with some masks less that with others, paired by seed."""
     one, two = (needed(reading(masks, load(f"language-{masks}", folder))) for masks in (first, second))
-    return on_average(paired(one, two, lambda run: run.end), [*one.records, *two.records])
+    return on_average(apart(lambda run: run.end, one, two), [*one.records, *two.records])
 
 
 WAITS = "20 repetitions of both models on stored trials without their velocities"

@@ -26,12 +26,14 @@ from dropout_uncertainty.page.profiles import complete
 from dropout_uncertainty.page.tables import Words
 from dropout_uncertainty.runs.process import finished
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import Interval, in_words, t_interval
+from dropout_uncertainty.stats import in_words, t_interval, told
 
 __all__ = ["Runs", "answers", "choices", "clouds", "grown", "pairs_table", "runs", "trusted"]
 
 SEEDS = (100, 101, 102)
 #: Live runs: what is smaller than in the stored ones; of PILCO, of its particles, and of the two measurements.
+#: What an interval of a difference of costs says.
+COSTS = ("costs more", "costs less", "may cost more or less")
 TINY_PILCO: dict[str, Any] = {"trials": 2, "policy_iterations": 4, "model_iterations": 10}
 TINY_PLAN: dict[str, Any] = {"particles": 10, "policy_steps": 8}
 TINY_GRADIENTS: dict[str, Any] = {"particles": 10, "draws": 4, "horizons": (5, 15, 25)}
@@ -149,17 +151,10 @@ def pairs_table(found: Runs) -> tuple[list[str], list[list[object]]]:
     ]  # fmt: skip
 
 
-def read(difference: Interval) -> str:
-    """Return what an interval of a difference of costs says in words."""
-    if difference.low > 0:
-        return "costs more"
-    return "costs less" if difference.high < 0 else "may cost more or less"
-
-
 def answers(found: Runs) -> Words:
     """Return, for each pair that has been run, what its interval says."""
     lines = [
-        f"- **{PAIRS[x.name]}** {read(x.cost_difference)}: {in_words(x.cost_difference)} per step over "
+        f"- **{PAIRS[x.name]}** {told(x.cost_difference, *COSTS)}: {in_words(x.cost_difference)} per step over "
         f"{x.first.trials} trials, {len(x.first.seeds)} pairs with {x.second.label}."
         for x in found.pairs
     ]
