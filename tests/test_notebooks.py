@@ -1,6 +1,9 @@
 """Notebooks are committed as they should be read: no outputs, short cells, one place to choose the profile."""
 
 import ast
+import functools
+import importlib
+import re
 import statistics
 from pathlib import Path
 
@@ -105,6 +108,24 @@ def test_cells_that_draw_describe_the_picture(path):
         if "subplots(" in cell.source or "figure" in cell.metadata.get("mystnb", {}):
             alt = cell.metadata.get("mystnb", {}).get("image", {}).get("alt", "")
             assert len(alt) > 30, f"{path.name}: say in the alt text what is to be seen: {cell.source.splitlines()[0]}"
+
+
+@every_notebook
+def test_names_in_the_prose_are_there(path):
+    """`module.name` in inline code means what it would in a cell: exercises outlive a move of the code otherwise."""
+    names, own = {}, set()
+    for node in (node for cell in code_cells(path) for node in ast.walk(ast.parse(cell.source))):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            exec(ast.unparse(node), names)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            own.add(node.id)
+    prose = [cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "markdown"]
+    for code in re.findall(r"(?<![`}])`([^`\n]+)`(?!`)", "\n".join(prose)):
+        for dotted in re.findall(r"(?<![\w./])[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)+(?![\w/])", code):
+            head, *rest = dotted.split(".")
+            if head not in own:
+                found = names[head] if head in names else importlib.import_module(head)
+                assert functools.reduce(getattr, rest, found) is not None
 
 
 @every_notebook

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -88,12 +89,13 @@ class Network:
         first = 2 * (self.layers + layer)
         scale, shift = self.parameters[first : first + 2]
         mean, variance = running = self.moments[2 * layer : 2 * layer + 2]
-        if training:
-            mean, variance = h.mean(1, keepdim=True), h.var(1, keepdim=True, correction=0)
-            count = h.shape[1]
-            for old, new in zip(running, (mean, variance * count / (count - 1)), strict=True):
-                old.lerp_(new.detach(), MOMENTUM)
-        return (h - mean) * (scale / (variance + EPSILON).sqrt()) + shift
+        if not training:
+            gain = scale * (variance + EPSILON).rsqrt()
+            return torch.addcmul(shift - mean * gain, h, gain)
+        normalised, *moments = _Normalise.apply(h, scale, shift)
+        for old, new in zip(running, moments, strict=True):
+            old.lerp_(new, MOMENTUM)
+        return normalised
 
     def tensors(self) -> list[Tensor]:
         """Return parameters and moments, replicas first."""
@@ -103,6 +105,33 @@ class Network:
         """Take the place of a network with these `tensors`; of how many replicas is up to them."""
         count = len(self.parameters)
         self.parameters, self.moments = list(tensors[:count]), list(tensors[count:])
+
+
+class _Normalise(torch.autograd.Function):
+    """Rows [R, B, units] normalised by their own moments over B, with the moments for the running ones.
+
+    By hand, since it takes a third of the passes over memory, which are most of what a learning step has beside products.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, h: Tensor, scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        count = h.shape[1]
+        mean = h.mean(1, keepdim=True)
+        centred = h - mean
+        square = torch.linalg.vector_norm(centred, dim=1, keepdim=True).square()
+        root = (square / count + EPSILON).rsqrt()
+        ctx.save_for_backward(centred, root, scale)
+        ctx.mark_non_differentiable(mean, square)
+        return torch.addcmul(shift, centred, scale * root), mean, square.div_(count - 1)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, slope: Tensor, *_: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        centred, root, scale = ctx.saved_tensors
+        in_shift = slope.sum(1, keepdim=True)
+        in_scale = (slope * centred).sum(1, keepdim=True) * root
+        rest = torch.addcmul(in_shift, centred, in_scale * root).div_(-slope.shape[1])
+        return rest.add_(slope).mul_(scale * root), in_scale, in_shift
 
 
 class Trained:
