@@ -110,7 +110,7 @@ class Network:
 class _Normalise(torch.autograd.Function):
     """Rows [R, B, units] normalised by their own moments over B, with the moments for the running ones.
 
-    By hand, since it takes a third of the passes over memory, which are most of what a learning step has beside products.
+    By hand: a third of the passes over memory, which are most of what a learning step has beside products.
     """
 
     @staticmethod
