@@ -18,13 +18,7 @@ LONGEST_CELL, MIDDLE_CELL = 20, 5
 #: More lines than these of drawing belong to the package.
 LONGEST_DRAWING = 6
 
-#: Not yet cut into one call per experiment.
-UNCUT = {"5_3_is_it_exploration"}
-
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-every_cut_notebook = pytest.mark.parametrize(
-    "path", [path for path in NOTEBOOKS if path.stem not in UNCUT], ids=lambda path: path.stem
-)
 
 
 def code_cells(path):
@@ -87,7 +81,7 @@ def test_cells_that_draw_are_a_call(path):
     assert not long, f"more than {LONGEST_DRAWING} lines that draw: move them to report/ ({long})"
 
 
-@every_cut_notebook
+@every_notebook
 def test_cells_do_not_branch_on_the_profile(path):
     """What a profile computes and shows is one call; a cell only hands the profile on."""
     for cell in code_cells(path):
@@ -96,7 +90,7 @@ def test_cells_do_not_branch_on_the_profile(path):
         assert "profile" not in names, f"{path.name} branches on the profile: {cell.source.splitlines()[0]}"
 
 
-@every_cut_notebook
+@every_notebook
 def test_the_first_cell_of_imports_is_folded(path):
     cell = next(cell for cell in code_cells(path) if "import " in cell.source)
     assert "hide-input" in cell.metadata.get("tags", [])

@@ -21,7 +21,7 @@ from dropout_uncertainty.runs.process import finished
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import CONFIDENCE, Interval, share_interval
 
-__all__ = ["HORIZON", "LABELS", "SEEDS", "Dives", "Seas", "live", "load", "obtain", "solved_episode"]
+__all__ = ["HORIZON", "LABELS", "SEEDS", "Dives", "Seas", "live", "load", "obtain", "shown", "solved_episode"]
 
 FAMILY = "deep-sea"
 LABELS = {
@@ -168,10 +168,16 @@ def live(size: int, *, seeds: Sequence[int], episodes: int) -> Seas:
     return dives
 
 
+def shown(profile: str) -> tuple[int, tuple[int, ...]]:
+    """Return the size of the seas that the pictures of a profile show, and after how many episodes; last of all."""
+    return (5, (10, 30, 150)) if profile == "quick" else (10, (30, 100, 300, 1000, HORIZON))
+
+
 def obtain(profile: str) -> Seas:
     """Return the dives that a profile shows: recorded, small ones computed now, or recorded and what is missing."""
     if profile == "quick":
-        return live(5, seeds=range(100, 103), episodes=150)
+        size, times = shown(profile)
+        return live(size, seeds=range(100, 103), episodes=times[-1])
     planned = [(f"{FAMILY}/{agent}/{size}", range(n)) for agent in AGENTS for size, n in SEEDS.items()]
     complete(profile, [unit for name, seeds in planned for unit in units(name, seeds)])
     return load()
