@@ -12,7 +12,7 @@ from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.report import analysis as exploration
 from dropout_uncertainty.judging.collect import STATEMENTS, collect
 from dropout_uncertainty.judging.statements import StatementResult
-from dropout_uncertainty.page import landing
+from dropout_uncertainty.page import landing, pictures
 
 ROOT = Path(__file__).parents[2]
 GLUED = r"{glue:text}`scoreboard\.ipynb::(\w+):s`"
@@ -88,13 +88,13 @@ def test_a_readme_without_the_marks_is_refused():
         landing.readme("# A title", [])
 
 
-@pytest.mark.parametrize("name", landing.PICTURES)
+@pytest.mark.parametrize("name", pictures.PICTURES)
 def test_picture_is_small_and_from_records_that_are_there(name):
     svg = (ROOT / landing.FOLDER / f"{name}.svg").read_text(encoding="utf-8")
     assert len(svg) < 50_000
     assert "prefers-reduced-motion" in svg
     assert not re.search(r"<script|(?:href|src)=\"(?!data:)|@import|url\(", svg), "a picture must need nothing else"
-    drawn = landing.PICTURES[name](None)
+    drawn = pictures.PICTURES[name](None)
     if drawn is not None:
         assert _origin(svg) == _origin(drawn), REMEDY
 
@@ -104,12 +104,12 @@ def _origin(svg):
 
 
 def test_digits_are_the_last_ones_asked_for():
-    assert landing.digits() is not None
-    assert "active_learning/ours/dropout/bald/000.npz" in landing.digits()
+    assert pictures.digits() is not None
+    assert "active_learning/ours/dropout/bald/000.npz" in pictures.digits()
 
 
 def test_without_records_there_is_nothing_to_draw(tmp_path):
-    assert [draw(tmp_path) for draw in landing.PICTURES.values()] == [None, None, None]
+    assert [draw(tmp_path) for draw in pictures.PICTURES.values()] == [None, None, None]
 
 
 # --- sentences of the first page; where one of these fails, the page must be read again

@@ -8,7 +8,8 @@ import subprocess
 import pytest
 from bs4 import BeautifulSoup
 
-from dropout_uncertainty.page.svg_animation import Player, circle, line, polygon, text
+from dropout_uncertainty.page.svg import circle, line, polygon, text
+from dropout_uncertainty.page.svg_animation import Player
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 

@@ -13,7 +13,7 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropout_uncertainty.page.svg_animation import SHOWN
+from dropout_uncertainty.page.svg import SHOWN
 
 __all__ = ["FLOATS", "Slider", "Toy", "floats"]
 

@@ -10,7 +10,8 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole, tip
 from dropout_uncertainty.data_efficiency.plant.drawing import CART
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.page.plotting import COLOURS
-from dropout_uncertainty.page.svg_animation import SHOWN, Player, Shape, circle, letters, line, polygon, polyline, text
+from dropout_uncertainty.page.svg import SHOWN, Shape, circle, letters, line, polygon, polyline, text
+from dropout_uncertainty.page.svg_animation import Player
 
 __all__ = ["predictions", "swing_up"]
 

@@ -19,7 +19,8 @@ from dropout_uncertainty.exploration.policies import Chance, gumbel
 from dropout_uncertainty.exploration.q_network import MaskStream, QNetwork
 from dropout_uncertainty.exploration.report.analysis import LABELS
 from dropout_uncertainty.page.plotting import COLOURS
-from dropout_uncertainty.page.svg_animation import Player, Shape, circle, letters, line, polygon, text
+from dropout_uncertainty.page.svg import Shape, circle, letters, line, polygon, text
+from dropout_uncertainty.page.svg_animation import Player
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record, RecordError
 from dropout_uncertainty.settings import config_hash

@@ -6,7 +6,8 @@ import numpy as np
 
 from dropout_uncertainty.exploration.report.deep_sea.dives import HORIZON, LABELS, Dives, Seas
 from dropout_uncertainty.exploration.report.deep_sea.figures import AGENT_COLOURS, in_lines
-from dropout_uncertainty.page.svg_animation import Player, Shape, circle, letters, polygon, text
+from dropout_uncertainty.page.svg import Shape, circle, letters, polygon, text
+from dropout_uncertainty.page.svg_animation import Player
 
 __all__ = ["AGENTS", "animation"]
 
