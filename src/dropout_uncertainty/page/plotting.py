@@ -48,6 +48,8 @@ COLOURS: dict[str, str] = {
     "pilco": "#B8860B",
     "deep-pilco": "#0072B2",
     "deep-pilco-as-written": "#56B4E9",
+    "ddpg": "#117733",
+    "naf": "#882255",
     "thesis": "#222222",
 }
 

@@ -56,6 +56,27 @@ def write(folder, first, name="pilco-paper", **options):
     return folder
 
 
+def test_trials_with_noise_do_not_count_and_a_repetition_that_has_ended_keeps_its_last():
+    whole = arrays([3, 5, 99])
+    whole["costs"][:, 1::2] = np.nan  # every other trial is with noise
+    whole["costs"][0, 8:] = np.nan  # the first repetition has ended with its third solved test
+    found = analysis.from_arrays("ddpg", PAPER, whole, range(3))
+    assert found.tested.tolist() == [2, 4, 6, 8, 10]
+    assert found.first_solved.tolist() == [4, 6, np.inf]
+    assert found.later.sum(1).tolist() == [1, 2, 0]
+    assert found.kept_share[:2].tolist() == [1, 1]
+    costs = found.counted(found.trial_costs)
+    np.testing.assert_array_equal(costs[0], found.trial_costs[0, [2, 4, 6, 6, 6]])
+    np.testing.assert_array_equal(costs[1:], found.trial_costs[1:, 2::2])
+    assert found.cost_at(10).value == pytest.approx(costs[:, -1].mean())
+    fig, axes = plt.subplots(2)
+    figures.cost_curves(axes[0], [found])
+    np.testing.assert_allclose(axes[0].lines[0].get_xydata(), np.stack((found.tested, costs.mean(0)), 1))
+    figures.solved_over_trials(axes[1], [found], ever=False)
+    np.testing.assert_allclose(axes[1].lines[0].get_ydata(), np.array([0, 1, 2, 2, 2]) / 3)
+    plt.close(fig)
+
+
 def test_first_solved_and_kept_are_read_off_the_trials():
     found = learning([3, 5, 99], lost=(7,))
     assert found.first_solved.tolist() == [3, 5, np.inf]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int, Shaped
 from scipy import stats as scipy_stats
 from torch import Tensor
 
@@ -36,6 +36,8 @@ LABELS: dict[str, str] = {
     "pilco-paper": "PILCO",
     "deep-pilco-ours": "Deep PILCO",
     "deep-pilco-as-written": "Deep PILCO, as written",
+    "ddpg": "DDPG",
+    "naf": "NAF",
     "pilco-matlab": "PILCO, cart-pole of its own code",
     "pilco-paper-40": "PILCO, one repetition of 40 trials",
     "original": "PILCO's own code",
@@ -46,9 +48,11 @@ NAMES: dict[str, str] = {
     "deep-pilco-ours": "deep-pilco",
     "deep-pilco-as-written": "deep-pilco/as-written",
     "pilco-matlab": "pilco/matlab",
+    "ddpg": "ddpg",
+    "naf": "naf",
 }
 #: Trials at which curves are read off: those that thesis text and captions name, and round ones.
-TRIALS = (1, 5, 7, 10, 15, 20, 25, 26, 40)
+TRIALS = (1, 5, 7, 10, 15, 20, 25, 26, 40, 100, 400, 1000, 2500)
 #: A repetition keeps its solution if at least this share of the trials after the first solved one are solved.
 KEPT = 0.8
 #: What computing time is shown of, as the records call it and in words.
@@ -95,6 +99,17 @@ class Learning:
         return self.costs.mean(-1)
 
     @property
+    def tested(self) -> Int[np.ndarray, " tests"]:
+        """Numbers of the controlled trials that count: all, or those without noise of a learner without a model."""
+        return 1 + np.flatnonzero(np.isfinite(self.trial_costs[:, 1:]).any(0))
+
+    def counted(self, values: Shaped[np.ndarray, "R trials"]) -> Shaped[np.ndarray, "R tests"]:
+        """Return the values of the trials that count; a repetition that has ended keeps its last."""
+        there = np.isfinite(self.trial_costs[:, self.tested])
+        last = np.maximum.accumulate(np.where(there, np.arange(there.shape[1]), 0), 1)
+        return np.take_along_axis(values[:, self.tested], last, 1)
+
+    @property
     def predicted_costs(self) -> Float[np.ndarray, "R trials"]:
         """Mean cost per step that the model expected of each trial; NaN for the random one."""
         return self.arrays["predicted_cost"].astype(float).mean(-1)
@@ -130,8 +145,8 @@ class Learning:
 
     @property
     def later(self) -> Bool[np.ndarray, "R trials"]:
-        """Which trials come after the first solved one of their repetition."""
-        return np.arange(self.trials + 1) > self.first_solved[:, None]
+        """Which trials that count come after the first solved one of their repetition."""
+        return (np.arange(self.trials + 1) > self.first_solved[:, None]) & np.isfinite(self.trial_costs)
 
     @property
     def kept_share(self) -> Float[np.ndarray, " R"]:
@@ -161,7 +176,7 @@ class Learning:
 
     def cost_at(self, trial: int) -> Interval:
         """Mean cost per step of a trial."""
-        return t_interval(self.trial_costs[:, trial])
+        return t_interval(self.counted(self.trial_costs)[:, np.searchsorted(self.tested, trial)])
 
     @property
     def kept(self) -> Interval:
@@ -333,7 +348,7 @@ def _results(learning: Learning, name: str) -> list[Result]:
         ("trials-to-solve", learning.trials_to_solve, "trials", solve),
         ("kept", learning.kept, "share", f"solved repetitions with at least {KEPT:.0%} of the later trials solved"),
     ]
-    for trial in (t for t in TRIALS if t <= learning.trials):
+    for trial in (t for t in TRIALS if t in learning.tested):
         statistics += [
             (f"solved-by-{trial}", learning.solved_by(trial), "share", f"repetitions solved by trial {trial}"),
             (f"cost-at-{trial}", learning.cost_at(trial), "cost per step", f"mean cost of trial {trial}"),

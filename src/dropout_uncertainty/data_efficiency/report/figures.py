@@ -29,8 +29,8 @@ STATE, FORCE = "#DCE9F5", "#FBE6C8"
 PRINTED = (
     ("figure-5.7/pilco/caption", "PILCO", COLOURS["pilco"]),
     ("figure-5.7/deep-pilco/caption", "Deep PILCO", COLOURS["deep-pilco"]),
-    ("literature/gu-2016/trials", "Gu et al.", "#882255"),
-    ("literature/lillicrap-2015/trials", "Lillicrap et al.", "#117733"),
+    ("literature/gu-2016/trials", "Gu et al.", COLOURS["naf"]),
+    ("literature/lillicrap-2015/trials", "Lillicrap et al.", COLOURS["ddpg"]),
 )
 
 
@@ -174,7 +174,7 @@ def predicted_and_realised(axes: Iterable[Axes], learning: Learning, trials: Seq
 def cost_curves(ax: Axes, learnings: Sequence[Learning]) -> Axes:
     """Draw mean cost per step against trial on a log axis, with one and two standard errors as two shades."""
     for learning in learnings:
-        curves = learning.trial_costs[:, 1:]
+        curves = learning.counted(learning.trial_costs)
         mean = curves.mean(0)
         trial = _cost_curve(ax, learning, mean, f"{learning.label} ({len(curves)})")
         if len(curves) > 1:
@@ -188,7 +188,7 @@ def cost_curves(ax: Axes, learnings: Sequence[Learning]) -> Axes:
 def median_costs(ax: Axes, learnings: Sequence[Learning]) -> Axes:
     """Draw the median cost per step over the repetitions that are solved in some trial, with quartiles as a shade."""
     for learning in learnings:
-        curves = learning.trial_costs[np.isfinite(learning.first_solved), 1:]
+        curves = learning.counted(learning.trial_costs)[np.isfinite(learning.first_solved)]
         if len(curves) > 1:
             low, middle, high = np.quantile(curves, (0.25, 0.5, 0.75), axis=0)
             trial = _cost_curve(ax, learning, middle, f"{learning.label} ({len(curves)})")
@@ -199,7 +199,7 @@ def median_costs(ax: Axes, learnings: Sequence[Learning]) -> Axes:
 
 
 def _cost_curve(ax: Axes, learning: Learning, costs: np.ndarray, label: str) -> np.ndarray:
-    trial = np.arange(1, learning.trials + 1)
+    trial = learning.tested
     line = {"pilco-matlab": "--", "original": ":"}.get(learning.config, "-")
     width = 0.8 if learning.config == "pilco-paper-40" else 1.8  # a single repetition behind the others
     ax.plot(trial, costs, line, color=_colour(learning), linewidth=width, label=label)
@@ -268,7 +268,7 @@ def _colour(learning: Learning) -> str:
 def solved_over_trials(ax: Axes, learnings: Sequence[Learning], *, ever: bool) -> Axes:
     """Draw the share of repetitions solved by each trial (``ever``), or of those whose trial itself is solved."""
     for learning in learnings:
-        trial, solved = np.arange(1, learning.trials + 1), learning.solved[:, 1:]
+        trial, solved = learning.tested, learning.counted(learning.solved)
         share = (np.logical_or.accumulate(solved, 1) if ever else solved).mean(0)
         ax.step(trial, share, where="mid", color=_colour(learning), label=learning.label)
     title = "solved so far" if ever else "this trial is solved"

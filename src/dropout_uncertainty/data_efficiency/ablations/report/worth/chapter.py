@@ -31,9 +31,9 @@ from dropout_uncertainty.stats import in_words, t_interval, told
 __all__ = ["Runs", "answers", "choices", "clouds", "grown", "pairs_table", "runs", "trusted"]
 
 SEEDS = (100, 101, 102)
-#: Live runs: what is smaller than in the stored ones; of PILCO, of its particles, and of the two measurements.
 #: What an interval of a difference of costs says.
 COSTS = ("costs more", "costs less", "may cost more or less")
+#: Live runs: what is smaller than in the stored ones; of PILCO, of its particles, and of the two measurements.
 TINY_PILCO: dict[str, Any] = {"trials": 2, "policy_iterations": 4, "model_iterations": 10}
 TINY_PLAN: dict[str, Any] = {"particles": 10, "policy_steps": 8}
 TINY_GRADIENTS: dict[str, Any] = {"particles": 10, "draws": 4, "horizons": (5, 15, 25)}
