@@ -8,10 +8,16 @@ import pytest
 import torch
 
 from dropout_uncertainty.data_efficiency.model_free import learner
-from dropout_uncertainty.data_efficiency.model_free.config import DDPG_AS_PRINTED, NAF_AS_PRINTED, ModelFreeConfig
+from dropout_uncertainty.data_efficiency.model_free.config import (
+    DDPG_AS_PRINTED,
+    NAF_AS_PRINTED,
+    SEARCH,
+    ModelFreeConfig,
+)
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
 from dropout_uncertainty.runs.unit import RunError
+from dropout_uncertainty.settings import config_dict, config_diff
 
 SMALL = {"trials": 9, "test_every": 3, "hidden": (8, 6), "batch": 16}
 DDPG, NAF = replace(DDPG_AS_PRINTED, **SMALL), replace(NAF_AS_PRINTED, **SMALL, updates=2)
@@ -47,6 +53,16 @@ def test_a_repetition_alone_and_a_resumed_run_give_the_same(config):
     for name, values in whole.items():
         np.testing.assert_allclose(alone[name][0], values[1], rtol=1e-5)
         np.testing.assert_array_equal(resumed.result()[name], values)
+
+
+def test_the_search_changes_ddpg_one_by_one_and_naf_as_its_paper_does():
+    from_printed = {
+        name: config_diff(config_dict(DDPG_AS_PRINTED), config_dict(config)) for name, config in SEARCH.items()
+    }
+    changed = {name: {key for key, *_ in diff} - {"trials"} for name, diff in from_printed.items() if "ddpg" in name}
+    assert {name: len(keys) for name, keys in changed.items()} == {n: int(n != "ddpg-search/printed") for n in changed}
+    grid = {(c.value_rate, c.noise_std) for c in SEARCH.values() if c.method == "naf"}
+    assert grid == {(rate, noise) for rate in (1e-4, 1e-3, 1e-2) for noise in (0.1, 0.3, 1.0)}
 
 
 def test_the_plant_is_that_of_the_other_learners():

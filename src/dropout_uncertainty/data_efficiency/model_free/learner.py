@@ -10,7 +10,12 @@ from torch import Generator, Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
-from dropout_uncertainty.data_efficiency.model_free.config import DDPG_AS_PRINTED, NAF_AS_PRINTED, ModelFreeConfig
+from dropout_uncertainty.data_efficiency.model_free.config import (
+    DDPG_AS_PRINTED,
+    NAF_AS_PRINTED,
+    SEARCH,
+    ModelFreeConfig,
+)
 from dropout_uncertainty.data_efficiency.model_free.ddpg import DDPG
 from dropout_uncertainty.data_efficiency.model_free.naf import NAF
 from dropout_uncertainty.data_efficiency.model_free.replay import Memory, Transitions
@@ -24,7 +29,7 @@ from dropout_uncertainty.settings import of_type
 __all__ = ["CONFIGS", "ModelFree", "start"]
 
 METHODS: dict[str, type[DDPG] | type[NAF]] = {"ddpg": DDPG, "naf": NAF}
-CONFIGS = {"ddpg-as-printed": DDPG_AS_PRINTED, "naf-as-printed": NAF_AS_PRINTED}
+CONFIGS = {"ddpg-as-printed": DDPG_AS_PRINTED, "naf-as-printed": NAF_AS_PRINTED, **SEARCH}
 
 
 class ModelFree:
