@@ -236,6 +236,9 @@ def test_a_learner_without_dropout_pays_more_and_its_trials_settle_nothing(facts
     assert low < 0 < high
     assert interval(facts["no_dropout_cost"])[0] > 0
     assert interval(facts["on_mean_cost"])[0] > 0.05
+    low, high = interval(facts["ensemble_cost"])
+    assert low < 0 < 0.05 < high
+    assert interval(facts["alone_cost"])[0] > 0.05
 
 
 def test_steps_that_are_hard_to_predict_gain_weight(facts):

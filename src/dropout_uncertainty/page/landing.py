@@ -251,6 +251,8 @@ FACTS: Mapping[str, Callable[[Path | None], str]] = {
     "no_dropout_trials": lambda folder: _less_doubt("no-dropout", "trials_difference", ".1f", folder),
     "no_dropout_cost": lambda folder: _less_doubt("no-dropout", "cost_difference", ".2f", folder),
     "on_mean_cost": lambda folder: _less_doubt("mean-network", "cost_difference", ".2f", folder),
+    "ensemble_cost": lambda folder: _less_doubt("ensemble", "cost_difference", ".2f", folder),
+    "alone_cost": lambda folder: _less_doubt(worth.ALONE, "cost_difference", ".2f", folder),
     "doubt": _doubt,
     **{name: functools.partial(_verdict, name) for name in SAID},
 }

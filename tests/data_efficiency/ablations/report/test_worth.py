@@ -75,7 +75,9 @@ def folder(tmp_path_factory):
 
 
 def test_every_pair_has_words_and_an_other():
-    assert {f"doubt/{name}" for name in worth.PAIRS} == {name for name in CONFIGS if name.startswith("doubt/")}
+    assert {f"doubt/{name}" for name in worth.PAIRS if name != worth.ALONE} == {
+        name for name in CONFIGS if name.startswith("doubt/")
+    }
 
 
 def test_pairs_share_seeds_and_a_shorter_run_stands_in(folder):
@@ -163,4 +165,11 @@ def test_published_runs_are_what_the_page_was_written_for():
         assert all((learning.first_solved <= 25).mean() > 0.9 for learning in (pair.first, pair.second))
         assert pair.first.broken_promise.mean() > 0.05
         assert pair.first.covered[:, 1:].mean() < 0.5
-    assert not {"pilco-mean", "ensemble", "ensemble-mean"} & pairs.keys()
+    disagreeing, alone = pairs["ensemble"], pairs[worth.ALONE]
+    assert disagreeing.cost_difference.low < 0 < 0.05 < disagreeing.cost_difference.high
+    assert alone.cost_difference.low > 0.05
+    assert alone.first.kept.high < alone.second.kept.low
+    for learning in (alone.first, alone.second):
+        assert (learning.first_solved <= 25).mean() > 0.9
+    assert 0 < disagreeing.first.broken_promise.mean() < 0.05
+    assert not {"pilco-mean", "ensemble-mean"} & pairs.keys()

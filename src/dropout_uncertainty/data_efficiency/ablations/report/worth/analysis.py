@@ -21,7 +21,7 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import paired_difference, t_interval
 
 __all__ = [
-    "LITERAL", "LONGEST", "PAIRS", "PARTICLES", "Cloud", "Estimates", "Find", "cloud", "clouds", "coverage",
+    "ALONE", "LITERAL", "LONGEST", "PAIRS", "PARTICLES", "Cloud", "Estimates", "Find", "cloud", "clouds", "coverage",
     "estimates", "literal_pairs", "pairs", "particle_pairs", "results", "stored",
 ]  # fmt: skip
 
@@ -29,11 +29,14 @@ __all__ = [
 Find = Callable[[str], Learning | None]
 #: Trials over which two learners are compared, at most: those within which the thesis's succeeds.
 LONGEST = doubt.TRIALS
+#: One network without dropout beside five of its kind: a pair that was added when both had been run.
+ALONE = "alone"
 #: Learners in words, by their configs; what each is held against is in ``doubt.WITH_DOUBT``.
 PAIRS = {
     "mean-network": "Deep PILCO, planned on the mean network",
     "no-dropout": "Deep PILCO, no dropout at all",
     "as-text-mean": "Deep PILCO of the text, on the mean network",
+    ALONE: "one network of the ensemble, by itself",
     "ensemble-mean": "ensemble, planned on its mean",
     "pilco-mean": "PILCO, planned on its mean",
     "ensemble": "ensemble in the place of dropout",
@@ -64,13 +67,13 @@ def _paired(name: str, first: Learning | None, second: Learning | None) -> Itera
 
 def pairs(find: Find) -> list[Comparison]:
     """Return the learners of ``PAIRS`` that are found; a shorter run of ten stands in for one still to come."""
-    return [
-        found
-        for name in PAIRS
-        for found in _paired(
-            name, find(f"{doubt.FAMILY}/{name}") or find(f"{variants.FAMILY}/{name}"), find(doubt.WITH_DOUBT[name])
-        )
-    ]
+
+    def two(name: str) -> tuple[Learning | None, Learning | None]:
+        if name == ALONE:
+            return find("doubt/no-dropout"), find("doubt/ensemble")
+        return find(f"{doubt.FAMILY}/{name}") or find(f"{variants.FAMILY}/{name}"), find(doubt.WITH_DOUBT[name])
+
+    return [found for name in PAIRS for found in _paired(name, *two(name))]
 
 
 def literal_pairs(find: Find) -> dict[str, list[Comparison]]:
@@ -185,7 +188,8 @@ def _of_pairs(find: Find) -> list[Result]:
     found = []
     for comparison in pairs(find):
         first, second = comparison.first, comparison.second
-        if first.config != f"{doubt.FAMILY}/{comparison.name}":
+        name = f"doubt/ensemble/{ALONE}" if comparison.name == ALONE else first.config
+        if not name.startswith(doubt.FAMILY):
             continue  # the shorter run goes by its own name
         broken = first.broken_promise, second.broken_promise
         rows = [
@@ -195,7 +199,6 @@ def _of_pairs(find: Find) -> list[Result]:
         ]
         if (covered := coverage(first)) is not None:
             rows.append(("coverage", t_interval(covered.mean(1)), "share", "true states within two predicted std"))
-        name = first.config
         found += [*compared(comparison, name, second.config), *numbers(comparison, name, rows)]
     return found
 
