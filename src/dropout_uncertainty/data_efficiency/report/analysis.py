@@ -41,6 +41,7 @@ LABELS: dict[str, str] = {
     "pilco-matlab": "PILCO, cart-pole of its own code",
     "pilco-paper-40": "PILCO, one repetition of 40 trials",
     "original": "PILCO's own code",
+    "doubt/ensemble": "the ensemble",
 }
 #: Configs by the names that results go by (figure-5.7/<name>/...).
 NAMES: dict[str, str] = {
