@@ -127,7 +127,7 @@ def test_without_rocrate_it_says_what_to_install(folder, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_validator_of_ro_crates_finds_nothing(folder, tmp_path, monkeypatch):
+def test_the_validator_of_ro_crates_finds_no_requirement_broken(folder, tmp_path, monkeypatch):
     """It asks for the context of RO-Crates, of which rocrate brings a copy."""
     services = pytest.importorskip("rocrate_validator.services", reason="roc-validator is not installed")
     from rocrate_validator.models import Severity
