@@ -41,7 +41,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-record_commands = typer.Typer(help="List and verify the stored records.", no_args_is_help=True)
+record_commands = typer.Typer(help="List, verify and pack the stored records.", no_args_is_help=True)
 app.add_typer(record_commands, name="records")
 
 
@@ -204,6 +204,17 @@ def verify_records(
     if recompute:
         failed |= _recompute(intact, recompute, seed if seed is not None else int(f"{date.today():%Y%m%d}"), seconds)
     raise typer.Exit(code=1 if failed else 0)
+
+
+@record_commands.command("crate")
+def write_crate(out: Annotated[Path, typer.Option(help="the archive")] = Path("_build", "records.zip")) -> None:
+    """Pack the records into an archive that describes itself, an RO-Crate."""
+    from dropout_uncertainty.page import public
+    from dropout_uncertainty.runs import crate
+
+    if (repository := public.repository()) is None:
+        raise UserError(f"the archive says where its program is: name the repository in {public.REPOSITORY}")
+    typer.echo(crate.write(out, repository))
 
 
 def _recompute(found: list[Any], count: int, seed: int, seconds: float) -> bool:
