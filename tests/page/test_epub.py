@@ -46,6 +46,9 @@ def test_commands_that_docutils_does_not_know_are_said_otherwise():
     drawn = ElementTree.fromstring(epub.mathml(r"\log\big(x_1, \dots\big)", block=False))
     assert "".join(drawn.itertext()).replace("\u2061", "").split() == ["log", "(", "x", "1", ",", "…", ")"]
     assert ElementTree.fromstring(epub.mathml("^a", block=False)).find(f".//{MATHML}msup") is not None
+    words = ElementTree.fromstring(epub.mathml(r"\underbrace{x_1 + y}_{\text{sum}}", block=True))[0]
+    assert [part.tag for part in words] == [f"{MATHML}munder", f"{MATHML}mtext"]
+    assert words.tag == f"{MATHML}munder"
 
 
 def test_a_formula_that_cannot_be_read_is_named():

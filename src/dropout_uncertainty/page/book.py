@@ -55,6 +55,8 @@ PRINTS = (
     "--no-pdf-header-footer",
     "--generate-pdf-document-outline",
 )
+#: How the line begins that says which records a page rests on.
+ORIGIN = "Where these numbers come from"
 #: The notebook that shows what the others took, and runs after them.
 LAST = "scoreboard"
 
@@ -176,9 +178,15 @@ def _check_built() -> None:
 
 
 def _for_paper(text: str) -> str:
-    """Return the page with links to other pages leading to their place in it, and without those to files beside it."""
+    """Return the page with links to other pages leading to their place in it, and without those to files beside it.
+
+    The pages on the API, and the settings and files of every stored run, would fill twice as many pages as all others.
+    """
+    text = re.sub(r'<span id="document-api/.*?(?=<span id="document-(?!api/))', "", text, flags=re.DOTALL)
+    text = re.sub(rf"<details><summary>({ORIGIN}.*?)</summary>.*?</details>", r"<p>\1</p>", text, flags=re.DOTALL)
     text = re.sub(r'href="([\w/]+)\.html(#[^"]*)?"', lambda link: f'href="{link[2] or "#document-" + link[1]}"', text)
-    return re.sub(r'(<a [^>]*?)href="(?!#|https?:|mailto:)[^"]*"', r"\1", text)
+    left_out = "#(?:document-api/|(?:module-)?dropout_uncertainty)"
+    return re.sub(rf'(<a [^>]*?)href="(?:{left_out}|(?!#|https?:|mailto:))[^"]*"', r"\1", text)
 
 
 def _link(file: Path, words: str) -> None:

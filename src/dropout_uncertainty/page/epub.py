@@ -29,7 +29,11 @@ img, svg { max-width: 100%; height: auto; }
 pre { white-space: pre-wrap; }
 table { font-size: 0.8em; border-collapse: collapse; }
 th, td { padding: 0.2em 0.4em; border-bottom: 1px solid #999999; text-align: left; vertical-align: top; }
+code { overflow-wrap: anywhere; }
 .eqno { float: right; }
+.colon, .tag_parameters { display: none; }
+.player p { white-space: pre-line; }
+.swatch { width: 2em; height: 1em; }
 </style>"""
 #: Properties that the list of files states of a page, by what the page then holds.
 PROPERTIES = {"mathml": "<math", "svg": "<svg"}
@@ -41,6 +45,9 @@ KNOWN = {
     r"\\dots(?![a-zA-Z])": r"\\ldots",
     r"^\^": "{}^",
 }
+
+#: Words below a brace, which docutils writes as an index behind it.
+BRACED = re.compile(r"<msub>(\s*<munder>.*?⏟</mo>\s*</munder>\s*<m\w+>[^<]*</m\w+>\s*)</msub>", re.DOTALL)
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
@@ -125,4 +132,5 @@ def mathml(tex: str, *, block: bool) -> str:
         formula = latex2mathml.tex2mathml(tex, as_block=block)
     except (ValueError, LookupError) as error:
         raise ValueError(f"docutils does not read the formula {tex!r}: {error}") from error
+    formula = BRACED.sub(r"<munder>\1</munder>", formula)
     return formula.replace("&ApplyFunction;", "&#x2061;")  # which XML does not know
