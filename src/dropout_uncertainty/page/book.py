@@ -25,7 +25,7 @@ from filelock import FileLock, Timeout
 
 from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
-from dropout_uncertainty.page import profiles, public
+from dropout_uncertainty.page import profiles, public, tables
 from dropout_uncertainty.runs import executors, records
 
 __all__ = ["BookError", "build", "build_epub", "notebooks", "print_pdf", "run_notebooks", "times"]
@@ -55,8 +55,6 @@ PRINTS = (
     "--no-pdf-header-footer",
     "--generate-pdf-document-outline",
 )
-#: How the line begins that says which records a page rests on.
-ORIGIN = "Where these numbers come from"
 #: The notebook that shows what the others took, and runs after them.
 LAST = "scoreboard"
 
@@ -183,7 +181,9 @@ def _for_paper(text: str) -> str:
     The pages on the API, and the settings and files of every stored run, would fill twice as many pages as all others.
     """
     text = re.sub(r'<span id="document-api/.*?(?=<span id="document-(?!api/))', "", text, flags=re.DOTALL)
-    text = re.sub(rf"<details><summary>({ORIGIN}.*?)</summary>.*?</details>", r"<p>\1</p>", text, flags=re.DOTALL)
+    text = re.sub(
+        rf"<details><summary>({tables.ORIGIN}.*?)</summary>.*?</details>", r"<p>\1</p>", text, flags=re.DOTALL
+    )
     text = re.sub(r'href="([\w/]+)\.html(#[^"]*)?"', lambda link: f'href="{link[2] or "#document-" + link[1]}"', text)
     left_out = "#(?:document-api/|(?:module-)?dropout_uncertainty)"
     return re.sub(rf'(<a [^>]*?)href="(?:{left_out}|(?!#|https?:|mailto:))[^"]*"', r"\1", text)
