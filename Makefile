@@ -3,7 +3,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 RUN := $(BIN)/dropout-uncertainty
 
-.PHONY: help book pdf test check browser quick lab records verify bench clean
+.PHONY: help book pdf epub test check browser quick lab records verify bench clean
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
@@ -12,6 +12,9 @@ book: $(READY) ## run the notebooks on the stored records and build the HTML
 
 pdf: $(READY) ## print the built book as one PDF, with Chromium
 	$(RUN) pdf
+
+epub: $(READY) ## make an EPUB of the built book, for e-readers
+	$(RUN) epub
 
 test: check ## style, types, import rules and all tests but the slow ones
 	$(BIN)/python -m pytest --numprocesses auto

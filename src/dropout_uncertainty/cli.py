@@ -81,6 +81,14 @@ def pdf() -> None:
 
 
 @app.command()
+def epub() -> None:
+    """Make an EPUB of the book as last built."""
+    from dropout_uncertainty.page.book import build_epub
+
+    build_epub()
+
+
+@app.command()
 def notebooks(
     names: Annotated[list[str] | None, typer.Argument(help="without suffix; all by default")] = None,
     profile: Annotated[str, typer.Option(help="recorded, quick or full")] = "recorded",

@@ -14,7 +14,7 @@ from filelock import FileLock
 from pybtex.database import parse_file
 
 from dropout_uncertainty.errors import UserError
-from dropout_uncertainty.page import book, plotting, sphinx_ext
+from dropout_uncertainty.page import book, plotting, sphinx_ext, tables
 
 ROOT = Path(__file__).parents[2]
 HTML = ROOT / "_build" / "html"
@@ -170,6 +170,21 @@ def test_the_whole_book_is_one_pdf(small_book):
     assert b"document-one" in content
     assert b"file:" not in content
     assert '<a href="book.pdf">' in (folder / "_build/html/index.html").read_text()
+
+
+def test_paper_leaves_out_what_would_double_it():
+    text = (
+        '<p>see <a class="x" href="one.html#a">one</a>, <a href="api/core.html#dropout_uncertainty.bayes">bayes</a></p>'
+        f"<details><summary>{tables.ORIGIN}: seeds 0-9</summary><pre>settings</pre></details>"
+        "<details><summary>Solution</summary>yes</details>"
+        '<span id="document-api/core"></span><p>MLP</p><span id="document-api/more"></span><p>Q</p>'
+        '<span id="document-citing"></span><p>Cite</p>'
+    )
+    assert book._for_paper(text) == (
+        '<p>see <a class="x" href="#a">one</a>, <a >bayes</a></p>'
+        f"<p>{tables.ORIGIN}: seeds 0-9</p><details><summary>Solution</summary>yes</details>"
+        '<span id="document-citing"></span><p>Cite</p>'
+    )
 
 
 def test_a_pdf_needs_a_book_and_a_browser(small_book, monkeypatch):

@@ -43,6 +43,8 @@ def test_everything_drawn_in_a_group_is_hidden_by_its_box(curves):
         assert label.input["value"] == str(number)
         rule = f"#{name}:has(input[value='{number}']:not(:checked)) [data-curve='{number}'] {{ display: none; }}"
         assert rule in soup.style.string
+    without_sheets = {tag["data-curve"]: tag.get("display") for tag in soup.find_all(attrs={"data-curve": True})}
+    assert without_sheets == {"0": None, "1": "none"}
 
 
 def test_the_picture_says_what_is_to_be_seen_and_needs_nothing_from_elsewhere(curves):

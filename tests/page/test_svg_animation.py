@@ -55,7 +55,7 @@ def test_without_scripts_the_page_shows_the_first_frame_and_no_controls(player):
     assert page.find(class_="end").find("text").string == "<3>"
     assert page.find(class_="end").find("p").string.startswith("frame 3")
     assert page.find(class_="controls").has_attr("hidden")
-    assert page.find("figcaption").string.startswith("frame 0")
+    assert page.find(class_="label").string.startswith("frame 0")
     assert all(field.get("aria-label") or field.find_parent("label") for field in page.find_all(["input", "select"]))
 
 
@@ -82,7 +82,7 @@ def test_misuse_is_named():
 #: What a reader would do, and what is to be seen after it; the page's title reports the first difference.
 READER = """<script>
 const find = (selector) => document.querySelector(selector);
-const seen = () => [find("circle").getAttribute("cx"), find("text").textContent, find("figcaption").textContent[6],
+const seen = () => [find("circle").getAttribute("cx"), find("text").textContent, find(".label").textContent[6],
                     find("input").value, find(".play").textContent].join();
 const differences = [];
 const expect = (what, value) => { if (seen() !== value) differences.push(`${what}: ${seen()} not ${value}`); };

@@ -30,7 +30,7 @@ class ReplayMemory:
     one gather fetches a minibatch and the state to act in.
 
     Args:
-        replicas: R.
+        replicas: how many agents, R.
         capacity: transitions kept per replica.
         state_size: D, the width of a state.
         actions: C, the number of actions.

@@ -1,8 +1,8 @@
 """Make the book: run the notebooks, lay the pages out and build the HTML.
 
 Everything made here lies under ``_build/``: ``notebooks/`` (executed), ``source/`` (the prose of ``book/`` and the
-executed notebooks side by side) and ``html/``; of a book with a public address also ``launch/`` (see ``public``), and
-for the PDF ``singlehtml/``. What an interrupted run leaves behind is removed by the next one.
+executed notebooks side by side) and ``html/``; of a book with a public address also ``launch/`` (see ``public``), for
+the PDF ``singlehtml/``, and for e-readers ``epub/``. What an interrupted run leaves behind is removed by the next one.
 """
 
 import ast
@@ -25,10 +25,10 @@ from filelock import FileLock, Timeout
 
 from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
-from dropout_uncertainty.page import profiles, public
+from dropout_uncertainty.page import profiles, public, tables
 from dropout_uncertainty.runs import executors, records
 
-__all__ = ["BookError", "build", "notebooks", "print_pdf", "run_notebooks", "times"]
+__all__ = ["BookError", "build", "build_epub", "notebooks", "print_pdf", "run_notebooks", "times"]
 
 # all relative to the repository: papermill and Sphinx write the paths they are given into the published pages
 NOTEBOOKS, PROSE, CONFIG = Path("notebooks"), Path("book"), Path("_config.yml")
@@ -36,6 +36,7 @@ BUILD = Path("_build")
 EXECUTED, RUNNING, SOURCE, HTML = BUILD / "notebooks", BUILD / "running", BUILD / "source", BUILD / "html"
 LAUNCHABLE = BUILD / "launch"
 SINGLE, PDF = BUILD / "singlehtml", HTML / "book.pdf"
+PACKED, EPUB = BUILD / "epub", HTML / "book.epub"
 # beside the source as beside the notebooks, so that the same links lead to them from both
 RECORDS, COPIED = Path("records"), BUILD / "records"
 LOG = BUILD / "jupyter-book.log"
@@ -136,8 +137,7 @@ def print_pdf() -> Path:
         raise BookError("Chromium prints the PDF: install it, or name it in the environment variable CHROMIUM")
     begin = time.monotonic()
     with _only_one(), tempfile.TemporaryDirectory() as scratch:
-        if not (HTML / "index.html").exists():
-            raise BookError("the book has not been built: `make book` builds it")
+        _check_built()
         shutil.rmtree(SINGLE, ignore_errors=True)
         _jupyter_book("singlehtml")
         page = SINGLE / "index.html"
@@ -146,22 +146,53 @@ def print_pdf() -> Path:
         outcome = subprocess.run([*command, page.resolve().as_uri()], capture_output=True, text=True, check=False)
         if outcome.returncode != 0 or not PDF.exists():
             raise BookError(f"{program} could not print the book: {outcome.stderr.strip()[-500:]}")
-        _link_pdf()
+        _link(PDF, "The whole book as one PDF")
         path = PDF.resolve()
     print(f"The PDF is ready after {_duration(time.monotonic() - begin)}; open {path}")
     return path
 
 
+def build_epub() -> Path:
+    """Make an EPUB of the book as it was last built; return its path, to which the first page then links.
+
+    Raises:
+        BookError: if the book has not been built, or jupyter-book reports a warning.
+    """
+    begin = time.monotonic()
+    with _only_one():
+        _check_built()
+        shutil.rmtree(PACKED, ignore_errors=True)
+        _jupyter_book("custom", "--custom-builder", "epub")
+        shutil.copyfile(PACKED / EPUB.name, EPUB)
+        _link(EPUB, "The whole book for e-readers (EPUB)")
+        path = EPUB.resolve()
+    print(f"The EPUB is ready after {_duration(time.monotonic() - begin)}: {path}")
+    return path
+
+
+def _check_built() -> None:
+    if not (HTML / "index.html").exists():
+        raise BookError("the book has not been built: `make book` builds it")
+
+
 def _for_paper(text: str) -> str:
-    """Return the page with links to other pages leading to their place in it, and without those to files beside it."""
+    """Return the page with links to other pages leading to their place in it, and without those to files beside it.
+
+    The pages on the API, and the settings and files of every stored run, would fill twice as many pages as all others.
+    """
+    text = re.sub(r'<span id="document-api/.*?(?=<span id="document-(?!api/))', "", text, flags=re.DOTALL)
+    text = re.sub(
+        rf"<details><summary>({tables.ORIGIN}.*?)</summary>.*?</details>", r"<p>\1</p>", text, flags=re.DOTALL
+    )
     text = re.sub(r'href="([\w/]+)\.html(#[^"]*)?"', lambda link: f'href="{link[2] or "#document-" + link[1]}"', text)
-    return re.sub(r'(<a [^>]*?)href="(?!#|https?:|mailto:)[^"]*"', r"\1", text)
+    left_out = "#(?:document-api/|(?:module-)?dropout_uncertainty)"
+    return re.sub(rf'(<a [^>]*?)href="(?:{left_out}|(?!#|https?:|mailto:))[^"]*"', r"\1", text)
 
 
-def _link_pdf() -> None:
-    """Name the PDF below the title of the first page."""
+def _link(file: Path, words: str) -> None:
+    """Name a file below the title of the first page."""
     page = HTML / "index.html"
-    text, link = page.read_text(encoding="utf-8"), f'<p><a href="{PDF.name}">The whole book as one PDF</a></p>'
+    text, link = page.read_text(encoding="utf-8"), f'<p><a href="{file.name}">{words}</a></p>'
     if link not in text:
         page.write_text(text.replace("</h1>", f"</h1>\n{link}", 1), encoding="utf-8")
 
@@ -358,11 +389,11 @@ def _build_html() -> None:
     _jupyter_book("html")
 
 
-def _jupyter_book(builder: str) -> None:
+def _jupyter_book(builder: str, *options: str) -> None:
     # jupyter-book 1.x has no `python -m`: its script lies beside the interpreter
     script = Path(sys.executable).with_name("jupyter-book")
     arguments = ["build", str(SOURCE), "--config", str(CONFIG), "--path-output", ".", "--builder", builder]
-    arguments += ["-W", "--keep-going", "-n"]
+    arguments += [*options, "-W", "--keep-going", "-n"]
     with LOG.open("w", encoding="utf-8") as log:
         outcome = subprocess.run([str(script), *arguments], stdout=log, stderr=subprocess.STDOUT, check=False)
     if outcome.returncode != 0:

@@ -27,10 +27,11 @@ SHEET = """
 #{name} .swatch {{ width: 1.8rem; height: 0.9rem; background: white; border-radius: 2px; }}
 #{name} .picture {{ display: block; width: 100%; height: auto; background: white; }}
 #{name} .picture text {{ font-family: inherit !important; }}
+#{name} [data-curve] {{ display: inline; }}
 """
 HIDE = "#{name}:has(input[value='{number}']:not(:checked)) [data-curve='{number}'] {{ display: none; }}\n"
 CHOICE = (
-    '<label><input type="checkbox" value="{number}"{checked}> '
+    '<label><input type="checkbox" value="{number}"{checked}/> '
     '<svg class="swatch" viewBox="0 0 24 12" aria-hidden="true"><path d="M0 6H24" stroke="{colour}" '
     'stroke-width="3"{dashes}/></svg> {label}</label>'
 )
@@ -85,7 +86,7 @@ class Curves:
         name = "curves-" + hashlib.sha256("\n".join([self.alt, *(g[0] for g in self._groups)]).encode()).hexdigest()[:8]
         rules = "".join(HIDE.format(name=name, number=number) for number in range(len(self._groups)))
         choices = "\n".join(
-            CHOICE.format(number=number, checked=" checked" * shown, label=escape(label), **_stroke(artists))
+            CHOICE.format(number=number, checked=' checked=""' * shown, label=escape(label), **_stroke(artists))
             for number, (label, shown, artists) in enumerate(self._groups)
         )
         return (
@@ -103,7 +104,11 @@ class Curves:
         text, nothing = io.StringIO(), dict.fromkeys(("Creator", "Date", "Format", "Type"))
         with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": salt}):
             self.figure.savefig(text, format="svg", metadata=nothing)
-        return _inline(text.getvalue(), self.alt)
+        svg = _inline(text.getvalue(), self.alt)
+        for number, (_, shown, _) in enumerate(self._groups):
+            if not shown:  # nor without style sheets, as in an e-reader
+                svg = svg.replace(f'data-curve="{number}"', f'data-curve="{number}" display="none"')
+        return svg
 
 
 def _inline(svg: str, alt: str) -> str:

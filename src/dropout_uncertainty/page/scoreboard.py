@@ -93,7 +93,7 @@ def beside_of(judged: Judged) -> Mapping[str, Interval]:
 
 DETAILS = "#{name} details {{ font-size: 0.85em; overflow-wrap: anywhere; }}\n"
 HIDE = "#{name}:has(input[value='{verdict}']:checked) tbody tr:not([data-verdict='{verdict}']) {{ display: none; }}\n"
-CHOICE = '<label><input type="radio" name="{name}" value="{verdict}"{checked}> {verdict} ({count})</label>'
+CHOICE = '<label><input type="radio" name="{name}" value="{verdict}"{checked}/> {verdict} ({count})</label>'
 HEADS = [
     "", "statement", "thesis", "ours [95 % interval]", "margin", "repetitions", "by itself", "adjusted", "rests on",
 ]  # fmt: skip
@@ -118,7 +118,7 @@ class Board:
         counts = Counter(j.verdict for j in self.judged)
         present = [verdict for verdict in VERDICTS if counts[verdict]]
         hide = "".join(HIDE.format(name=name, verdict=verdict) for verdict in present)
-        choices = [CHOICE.format(name=name, verdict="all", checked=" checked", count=len(self.judged))]
+        choices = [CHOICE.format(name=name, verdict="all", checked=' checked=""', count=len(self.judged))]
         choices += [CHOICE.format(name=name, verdict=v, checked="", count=counts[v]) for v in present]
         heads = "".join(f"<th>{head}</th>" for head in HEADS)
         return (
@@ -134,9 +134,9 @@ def _row(judged: Judged) -> str:
     mark = " (primary)" if s.primary else ""
     thesis = "" if s.thesis is None else in_digits(s.thesis, ".3g")
     margin = f"{s.margin:.2g} {s.unit}" if s.margin else ""
-    why = f"<br><small>{escape(judged.why)}</small>" if judged.why else ""
+    why = f"<br/><small>{escape(judged.why)}</small>" if judged.why else ""
     cells = [
-        f'<span id="{s.id}">{s.id}</span>', f"{escape(s.text)}{mark}<br><small>{_where(s)}</small>", thesis,
+        f'<span id="{s.id}">{s.id}</span>', f"{escape(s.text)}{mark}<br/><small>{_where(s)}</small>", thesis,
         escape(measured(judged) or "–"), margin, str(m.difference.n) if m and m.difference.n else "–",
         judged.plain, f"<strong>{judged.verdict}</strong>{why}", _sources(judged),
     ]  # fmt: skip
@@ -149,9 +149,9 @@ def _sources(judged: Judged) -> str:
     if not found:
         return "–"
     groups = [list(group) for _, group in groupby(found, lambda record: record.label.rsplit("/", 1)[0])]
-    commands = "<br>".join(f"<code>{escape(command(group))}</code>" for group in groups)
+    commands = "<br/>".join(f"<code>{escape(command(group))}</code>" for group in groups)
     files = ", ".join(escape(record.label) for record in found)
-    return f"<details><summary>{len(found)} records</summary>{files}<br>{commands}</details>"
+    return f"<details><summary>{len(found)} records</summary>{files}<br/>{commands}</details>"
 
 
 def _where(statement: Statement) -> str:

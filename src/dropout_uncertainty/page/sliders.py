@@ -111,7 +111,7 @@ CONTROL = (
 )
 AGAIN = '<div><button type="button">Draw again</button></div>'
 
-TEMPLATE = """<figure class="toy" hidden>
+TEMPLATE = """<figure class="toy" hidden="">
 <style>{style}</style>
 <p>{lead}</p>
 <div class="controls">

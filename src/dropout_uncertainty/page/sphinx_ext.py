@@ -13,6 +13,7 @@ from pybtex.plugin import register_plugin
 from pybtex.style.formatting.alpha import Style as Alpha
 from pybtex.style.labels import BaseLabelStyle
 from sphinx.application import Sphinx
+from sphinx.config import Config
 from sphinx.environment import BuildEnvironment
 
 from dropout_uncertainty import __version__
@@ -23,6 +24,8 @@ __all__ = ["setup"]
 FIRST_ALGORITHM = 3
 
 MATHJAX = "mathjax/tex-svg.js"
+#: Builders of pages for browsers; an EPUB has no scripts.
+WEBSITE = ("html", "singlehtml")
 #: What the theme puts around a table that may be wider than the page.
 SCROLLING = '<div class="pst-scrollable-table-container">'
 SYSTEM_THEME = 'matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"'
@@ -56,7 +59,7 @@ class Names(Alpha):
 def setup(app: Sphinx) -> dict[str, Any]:
     """Connect the parts to Sphinx."""
     register_plugin("pybtex.style.formatting", "names", Names)
-    app.connect("config-inited", lambda _app, config: setattr(config, "mathjax_path", MATHJAX))
+    app.connect("config-inited", set_what_is_known_here)
     app.connect("source-read", fill_in)
     app.connect("autodoc-process-docstring", keep_lines, priority=400)
     app.connect("autodoc-process-docstring", restore_lines, priority=600)
@@ -65,6 +68,11 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("env-get-updated", number_algorithms, priority=900)
     app.connect("html-page-context", mend_roles, priority=900)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def set_what_is_known_here(app: Sphinx, config: Config) -> None:
+    """Set the version of the book, which is that of the package, and where MathJax lies."""
+    config.version, config.mathjax_path = __version__, MATHJAX
 
 
 def fill_in(app: Sphinx, page: str, source: list[str]) -> None:
@@ -108,7 +116,7 @@ def copy_mathjax(app: Sphinx, exception: Exception | None) -> None:
     It must not lie in ``book/_static``: every script there is loaded by every page. The package's own extension would
     copy ten times as much.
     """
-    if exception is None and app.builder.format == "html":
+    if exception is None and app.builder.name in WEBSITE:
         target = Path(app.outdir, "_static", MATHJAX)
         target.parent.mkdir(parents=True, exist_ok=True)
         package = distribution("sphinx-mathjax-offline")
@@ -122,7 +130,7 @@ def slim_pages(app: Sphinx, exception: Exception | None) -> None:
     loads MathJax on a page whose subpages hold formulas. Without a stored choice the theme starts with no colours and
     an error on the console; it shall follow the system.
     """
-    if exception is not None or app.builder.format != "html":
+    if exception is not None or app.builder.name not in WEBSITE:
         return
     for page in Path(app.outdir).rglob("*.html"):
         text = page.read_text(encoding="utf-8")

@@ -99,7 +99,7 @@ STYLE = """
 .player button { min-width: 4.6em; cursor: pointer; }
 .player option { color: black; background: white; }
 .player input { flex: 1 1 8em; min-width: 6em; }
-.player :is(figcaption, .end p) { margin-top: 0.2em; color: inherit; text-align: left; white-space: pre-line;
+.player p { margin-top: 0.2em; color: inherit; text-align: left; white-space: pre-line;
   font-variant-numeric: tabular-nums; }
 .player .end { display: none; break-inside: avoid; }
 @media print { .player .end { display: block; } .player .controls { display: none; } }
@@ -113,15 +113,15 @@ TEMPLATE = """<figure class="player">
 <svg viewBox="0 0 {width} {height}" role="img" aria-label="{description}">
 <g>{background}</g><g class="moving">{first}</g>
 </svg>
-<div class="controls" hidden>
+<div class="controls" hidden="">
 <button type="button" class="play">Play</button>
 <button type="button" class="back">Back</button>
 <button type="button" class="step">Step</button>
-<input type="range" min="0" max="{last}" value="0" aria-label="time">
+<input type="range" min="0" max="{last}" value="0" aria-label="time"/>
 <label>speed <select><option value="0.25">¼</option><option value="0.5">½</option>
-<option value="1" selected>1</option><option value="2">2</option><option value="4">4</option></select></label>
+<option value="1" selected="">1</option><option value="2">2</option><option value="4">4</option></select></label>
 </div>
-<figcaption>{label}</figcaption>
+<p class="label">{label}</p>
 <div class="end">
 <svg viewBox="0 0 {width} {height}" role="img" aria-label="{description} The end.">{background}{end}</svg>
 <p>{end_label}</p>
@@ -159,7 +159,7 @@ SCRIPT = """(figure, changes, labels, rate) => {
     shown = frames[at];
     slider.value = at;
     slider.setAttribute("aria-valuetext", labels[at]);
-    find("figcaption").textContent = labels[at];
+    find(".label").textContent = labels[at];
   }
 
   function advance() {

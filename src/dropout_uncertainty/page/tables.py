@@ -10,7 +10,10 @@ from markdown_it import MarkdownIt
 
 from dropout_uncertainty.runs.records import Record
 
-__all__ = ["Folded", "Rendered", "Table", "Words", "command", "grid_of", "provenance"]
+__all__ = ["ORIGIN", "Folded", "Rendered", "Table", "Words", "command", "grid_of", "provenance"]
+
+#: How the line begins that says which records a page rests on.
+ORIGIN = "Where these numbers come from"
 
 
 class Rendered:
@@ -102,7 +105,7 @@ def provenance(records: Sequence[Record], profile: str = "recorded", without: st
         raise ValueError("provenance needs at least one record")
     names = dict.fromkeys((record.header["experiment"], record.header["name"]) for record in records)
     groups = [[r for r in records if (r.header["experiment"], r.header["name"]) == name] for name in names]
-    title = f"Where these numbers come from: profile {profile}; {_origin(records)}"
+    title = f"{ORIGIN}: profile {profile}; {_origin(records)}"
     return Folded(title, "\n\n".join(map(_details, groups)))
 
 

@@ -31,7 +31,7 @@ class Memory:
     That of section 5.3 is another: once full, it forgets at random, as the original program there does.
 
     Args:
-        replicas: R.
+        replicas: how many agents, R.
         capacity: transitions of each.
         inputs: how many numbers the networks are given.
         dtype: of what is stored.

@@ -29,7 +29,7 @@ class DeepSeaEnv(gymnasium.Env):
     Action: 0 or 1, of which one means right. ``info["found"]``: whether the move found the treasure.
 
     Args:
-        size: N.
+        size: the side N [cells].
         mapping_seed: of the map; another seed of ``reset`` does not change it.
 
     Raises:

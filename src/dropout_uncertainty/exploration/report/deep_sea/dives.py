@@ -53,7 +53,7 @@ class Dives:
 
     Attributes:
         agent: a key of ``LABELS``.
-        size: N.
+        size: their side N [cells].
         seeds: one per sea.
         found: [R] first episode (1, 2, ...) in which the treasure was found; inf if it was not.
         again: [R] share of the later episodes in which it was found again; NaN if there are none.
