@@ -48,6 +48,19 @@ def test_a_primary_statement_waits_for_as_many_seeds_as_on_the_scoreboard(found)
     assert verdict["AL11b"] == "supported"
 
 
+def test_published_pools_are_what_the_page_was_written_for():
+    """Where this fails, read the page *When do weight draws save labels?* and the line on pools in *What to use*."""
+    found = pools.load()
+    assert {name: len(rows) for name, rows in found.items()} == {
+        "clean": 1, "ambiguous": 3, "repeated": 0, "irrelevant": 0
+    }  # fmt: skip
+    verdict = {line[0]: (line[5], line[-1]) for line in chapter.verdicts(found)[1] if line[5]}
+    assert verdict == {"AL11": (6, "untested"), "AL11b": (6, "supported"), "AL11d": (6, "inconclusive")}
+    assert pools.contrast(found, "ambiguous", "dropout/bald", "softmax/max-entropy").difference.max() < 0
+    bald, entropy = (found["ambiguous"][name] for name in ("dropout/bald", "softmax/max-entropy"))
+    assert pools.noise(bald).mean() < 0.1 < 0.8 < pools.noise(entropy).mean()
+
+
 def test_every_comparison_is_of_rows_that_are_run():
     for kind, *names in pools.CONTRASTS.values():
         assert all(f"pools/{kind}/{name}" in CONFIGS for name in names)

@@ -16,7 +16,8 @@ from mdit_py_plugins.dollarmath import dollarmath_plugin
 
 from dropout_uncertainty.page import book, epub
 from dropout_uncertainty.page.sliders import Slider, Toy
-from dropout_uncertainty.page.svg_animation import Player, circle
+from dropout_uncertainty.page.svg import circle
+from dropout_uncertainty.page.svg_animation import Player
 
 ROOT = Path(__file__).parents[2]
 MATHML = "{http://www.w3.org/1998/Math/MathML}"

@@ -142,7 +142,8 @@ def test_the_first_page_uses_every_fact_and_no_other(facts):
 ADVICE = {
     "AL3e": "untested", "AL3f": "no difference", "AL3g": "inconclusive", "AL4a": "supported", "AL4b": "contradicted",
     "AL5b": "untested", "AL5c": "supported", "AL5e": "supported", "AL5f": "supported", "AL7a": "confirmed",
-    "AL7b": "confirmed", "AL9c": "supported", "AL11": "untested", "AL11i": "untested", "AL11l": "untested",
+    "AL7b": "confirmed", "AL9c": "supported", "AL11": "untested", "AL11b": "supported",
+    "AL11i": "untested", "AL11l": "untested",
     "EX2d": "supported", "EX5a": "supported", "EX5b": "supported", "EX6c": "contradicted", "EX7a": "inconclusive",
     "EX7b": "contradicted", "EX7f": "contradicted", "EX9": "contradicted", "DE1a": "supported", "DE2d": "supported",
     "DE2g": "supported", "DE3h": "contradicted", "DE4a": "inconclusive", "DE4d": "no difference", "DE5b": "supported",
