@@ -8,7 +8,7 @@ from dropout_uncertainty.active_learning.report.statements import STATEMENTS
 from dropout_uncertainty.page.profiles import computed
 from dropout_uncertainty.page.tables import Words
 
-__all__ = ["kinds", "original", "peaks_in_tables", "pools", "rows", "threshold", "verdicts"]
+__all__ = ["original", "peaks_in_tables", "pools", "rows", "threshold", "verdicts"]
 
 
 def rows(profile: str) -> dict[str, Row]:
@@ -50,8 +50,3 @@ def pools(profile: str) -> dict[str, dict[str, Row]]:
 def verdicts(found: dict[str, dict[str, Row]]) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells of the statements about pools, by the rules of the scoreboard."""
     return report.verdicts(found, {statement.id: statement for statement in STATEMENTS})
-
-
-def kinds(profile: str) -> list[str]:
-    """Return the kinds of pools that a profile runs."""
-    return ["ambiguous"] if profile == "quick" else list(report.POOL_ROWS)

@@ -118,6 +118,7 @@ def pool_curves(axes: Sequence[Axes], pools: Mapping[str, Mapping[str, Row]]) ->
         if rows:
             learning_curves(ax, rows, list(rows))
         else:
+            ax.axis("off")
             ax.text(0.5, 0.5, "not run yet", ha="center", transform=ax.transAxes)
 
 
@@ -129,7 +130,7 @@ def bought(axes: Sequence[Axes], kind: str, rows: Mapping[str, Row], names: Sequ
     for ax, row in zip(axes, found, strict=False):
         task, points = acquired(kind, row)
         picked(ax, task, points[:60], row.label)
-    axes[0].figure.suptitle(kind if found else f"{kind}: not run yet")
+    axes[0].figure.suptitle(kind)
 
 
 def forest(ax: Axes, pairs: Sequence[Contrast], margin: float = 1.0) -> Axes:
@@ -138,9 +139,6 @@ def forest(ax: Axes, pairs: Sequence[Contrast], margin: float = 1.0) -> Axes:
     ax.axvline(0, color="black", linewidth=0.8)
     for height, pair in enumerate(pairs):
         value, low, high, n = t_interval(pair.difference)
-        if n == 0:
-            ax.text(0, height, "not run yet", va="center", fontsize=SMALL)
-            continue
         ax.plot(pair.difference, np.full(n, height), "|", color=colour(pair.first), alpha=0.5)
         ax.plot([low, high], [height, height], color=colour(pair.first))
         ax.plot(value, height, "o", color=colour(pair.first))

@@ -1,6 +1,6 @@
 """When do weight draws save labels? From the records of the four pools to errors, noise and paired differences."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -92,9 +92,10 @@ def contrast(pools: Mapping[str, Mapping[str, Row]], kind: str, first: str, seco
     return Contrast(kind, first, second, (one, two))
 
 
-def contrasts(pools: Mapping[str, Mapping[str, Row]]) -> Iterator[Contrast]:
-    """Return the chapter's comparisons, those that have no runs yet included."""
-    return (contrast(pools, *names) for names in CONTRASTS.values())
+def contrasts(pools: Mapping[str, Mapping[str, Row]]) -> list[Contrast]:
+    """Return the chapter's comparisons of rows that have been run."""
+    found = (contrast(pools, *names) for names in CONTRASTS.values())
+    return [pair for pair in found if len(pair.difference)]
 
 
 def side_of(name: str) -> Side:
@@ -107,7 +108,8 @@ def verdicts(
 ) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells of the statements about pools, by id; plain verdicts, not adjusted for their number."""
     cells: list[list[object]] = []
-    for name, pair in zip(CONTRASTS, contrasts(pools), strict=True):
+    for name, names in CONTRASTS.items():
+        pair = contrast(pools, *names)
         found = mean_estimate(pair.difference)
         difference = in_words(found, ".1f") if found.n else "not run yet"
         verdict = statements[name].verdict(found)
