@@ -32,9 +32,12 @@ def test_stored_trials_are_those_of_the_repetition():
     assert not torch.equal(seen[1], seen[2])  # a development seed, of repetition 23
 
 
-def test_trials_that_are_not_stored_are_said_to_be_missing():
-    with pytest.raises(UserError, match="run data_efficiency/doubt/ensemble"):
+def test_trials_that_are_not_stored_are_said_to_be_missing(tmp_path, monkeypatch):
+    with pytest.raises(UserError, match="the records of doubt/ensemble keep none"):
         stored_trials("doubt/ensemble", (0,))
+    monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(tmp_path))
+    with pytest.raises(UserError, match="run data_efficiency/deep-pilco-ours makes them"):
+        stored_trials("deep-pilco-ours", (0,))
 
 
 def test_models_differ_in_what_they_should():

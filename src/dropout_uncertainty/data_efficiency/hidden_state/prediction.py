@@ -100,7 +100,7 @@ def stored_trials(name: str, seeds: Sequence[int]) -> tuple[Float[Tensor, "R N t
     A seed has the trials of the repetition of that number, from 40 on again from the first.
 
     Raises:
-        UserError: if they are not stored.
+        UserError: if they are not stored, or without the forces.
     """
     found = {s: (r, i) for r in records.find(EXPERIMENT, name=name) for i, s in enumerate(r.seeds)}
     wanted = [seed % STORED for seed in seeds]
@@ -110,6 +110,8 @@ def stored_trials(name: str, seeds: Sequence[int]) -> tuple[Float[Tensor, "R N t
             f"dropout-uncertainty run {EXPERIMENT}/{name} makes them"
         )
     rows = [found[seed] for seed in wanted]
+    if any("forces" not in record.arrays for record, _ in rows):
+        raise UserError(f"expected trials with their forces, the records of {name} keep none: take deep-pilco-ours")
     states, forces = (np.stack([record.arrays[key][i] for record, i in rows]) for key in ("states", "forces"))
     return torch.tensor(states)[..., SEEN].double(), torch.tensor(forces).double()
 
