@@ -1,5 +1,7 @@
 """What doubt is worth, from small made-up records: pairs, promises, coverage, both directions, clouds, pictures."""
 
+import io
+
 import matplotlib
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from dropout_uncertainty.data_efficiency.configs import CONFIGS
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.judging.collect import STATEMENTS
 from dropout_uncertainty.judging.statements import judge
+from dropout_uncertainty.page import plotting
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.settings import config_dict, config_hash
 from dropout_uncertainty.stats import paired_difference
@@ -173,3 +176,15 @@ def test_published_runs_are_what_the_page_was_written_for():
         assert (learning.first_solved <= 25).mean() > 0.9
     assert 0 < disagreeing.first.broken_promise.mean() < 0.05
     assert not {"pilco-mean", "ensemble-mean"} & pairs.keys()
+
+
+def test_the_pictures_of_the_stored_runs_fit_the_column():
+    pairs = worth.pairs(worth.stored())
+    with plt.rc_context():
+        plotting.use_style()
+        for draw in (figures.forest, figures.covered):
+            file = io.BytesIO()
+            draw(pairs).savefig(file, dpi=2 * 96)
+            file.seek(0)
+            assert plt.imread(file).shape[1] // 2 <= 96 * plotting.WIDTH + 1, draw.__name__
+    plt.close("all")

@@ -1,5 +1,6 @@
 """Figures of what doubt is worth: numbers in, a figure as large as what there is out; None where there is nothing."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -100,7 +101,7 @@ def covered(pairs: Sequence[Comparison]) -> Figure | None:
             t = learning.plant.dt * np.arange(1, curves.shape[1] + 1)
             band(ax, t, curves, colour=colour, label=words)
         ax.axhline(NOMINAL, color=DARK, linewidth=0.8, linestyle=":")
-        ax.set(title=_wrapped(PAIRS[found.name]), xlabel="time [s]", ylim=(0, 1.02))
+        ax.set(title=textwrap.fill(PAIRS[found.name], 24), xlabel="time [s]", ylim=(0, 1.02))
     grid[0, 0].set_ylabel("true states within two std")
     legend_above(grid[0, 0])
     return figure
