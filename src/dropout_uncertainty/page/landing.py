@@ -192,8 +192,8 @@ def _held(kind: str, folder: Path | None) -> str:
     return in_words(what_matters.factor(seen.log_std_ratio(f"held-{kind}", f"redrawn-{kind}")))
 
 
-def _less_doubt(name: str, what: str, spec: str, folder: Path | None) -> str:
-    """Return what Deep PILCO without some of its doubt needs more than with all of it."""
+def _needs_more(name: str, what: str, spec: str, folder: Path | None) -> str:
+    """Return what the learner named in a pair of ``worth.PAIRS`` needs more than the one that it is held against."""
     pairs = {pair.name: pair for pair in worth.pairs(worth.stored(folder))}
     return in_words(getattr(needed(pairs.get(name)), what), spec)
 
@@ -248,11 +248,11 @@ FACTS: Mapping[str, Callable[[Path | None], str]] = {
     "later_ours": lambda folder: _solved_later("deep-pilco-ours", folder),
     "held_free": lambda folder: _held("free", folder),
     "held_matched": lambda folder: _held("matched", folder),
-    "no_dropout_trials": lambda folder: _less_doubt("no-dropout", "trials_difference", ".1f", folder),
-    "no_dropout_cost": lambda folder: _less_doubt("no-dropout", "cost_difference", ".2f", folder),
-    "on_mean_cost": lambda folder: _less_doubt("mean-network", "cost_difference", ".2f", folder),
-    "ensemble_cost": lambda folder: _less_doubt("ensemble", "cost_difference", ".2f", folder),
-    "alone_cost": lambda folder: _less_doubt(worth.ALONE, "cost_difference", ".2f", folder),
+    "no_dropout_trials": lambda folder: _needs_more("no-dropout", "trials_difference", ".1f", folder),
+    "no_dropout_cost": lambda folder: _needs_more("no-dropout", "cost_difference", ".2f", folder),
+    "on_mean_cost": lambda folder: _needs_more("mean-network", "cost_difference", ".2f", folder),
+    "ensemble_cost": lambda folder: _needs_more("ensemble", "cost_difference", ".2f", folder),
+    "alone_cost": lambda folder: _needs_more(worth.ALONE, "cost_difference", ".2f", folder),
     "doubt": _doubt,
     **{name: functools.partial(_verdict, name) for name in SAID},
 }
