@@ -11,6 +11,8 @@ from dropout_uncertainty.data_efficiency.ablations.report.statements import STAT
 from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
 from dropout_uncertainty.data_efficiency.hidden_state.report import analysis as hidden_state
 from dropout_uncertainty.data_efficiency.hidden_state.report.statements import STATEMENTS as HIDDEN_STATE
+from dropout_uncertainty.data_efficiency.model_free.report import analysis as model_free
+from dropout_uncertainty.data_efficiency.model_free.report.statements import STATEMENTS as MODEL_FREE
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.data_efficiency.report.statements import STATEMENTS as DATA_EFFICIENCY
 from dropout_uncertainty.exploration.report import analysis as exploration
@@ -38,7 +40,8 @@ def number(identifier: str) -> tuple[int, int, str]:
 STATEMENTS: dict[str, Statement] = {
     statement.id: statement
     for statement in sorted(
-        [*ACTIVE_LEARNING, *EXPLORATION, *DATA_EFFICIENCY, *WHAT_MATTERS, *HIDDEN_STATE], key=lambda s: number(s.id)
+        [*ACTIVE_LEARNING, *EXPLORATION, *DATA_EFFICIENCY, *WHAT_MATTERS, *HIDDEN_STATE, *MODEL_FREE],
+        key=lambda s: number(s.id),
     )
 }
 
@@ -61,6 +64,7 @@ def collect(folder: Path | None = None) -> list[Result]:
     """
     sections = (
         active_learning, pools, exploration, two_by_two, deep_sea, data_efficiency, what_matters, worth, hidden_state,
+        model_free,
     )  # fmt: skip
     numbers = [result for section in sections for result in section.results(folder)]
     return numbers + [j.result() for j in judged(folder)]

@@ -12,7 +12,10 @@ from dropout_uncertainty import rng
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.data_efficiency.model_free.config import (
     DDPG_AS_PRINTED,
+    DDPG_TUNED,
+    ENDS,
     NAF_AS_PRINTED,
+    NAF_TUNED,
     SEARCH,
     ModelFreeConfig,
 )
@@ -29,7 +32,10 @@ from dropout_uncertainty.settings import of_type
 __all__ = ["CONFIGS", "ModelFree", "start"]
 
 METHODS: dict[str, type[DDPG] | type[NAF]] = {"ddpg": DDPG, "naf": NAF}
-CONFIGS = {"ddpg-as-printed": DDPG_AS_PRINTED, "naf-as-printed": NAF_AS_PRINTED, **SEARCH}
+CONFIGS = {
+    "ddpg": DDPG_TUNED, "naf": NAF_TUNED, "ddpg-as-printed": DDPG_AS_PRINTED, "naf-as-printed": NAF_AS_PRINTED,
+    **SEARCH, **ENDS,
+}  # fmt: skip
 
 
 class ModelFree:

@@ -18,7 +18,7 @@ from dropout_uncertainty.page.tables import Folded, Rendered, Table, Words
 
 __all__ = [
     "DEEP_LIVE", "PILCO_LIVE", "computing_time", "deep_pilco", "in_words", "learn", "longest", "panels", "pilco",
-    "plants", "shown", "solved", "telling", "times", "unsolved", "watch",
+    "plants", "shown", "solved", "telling", "times", "unsolved", "watch", "without_a_model",
 ]  # fmt: skip
 
 #: Live runs by profile: repetitions, trials, and line searches of PILCO, or a share of the steps of Deep PILCO.
@@ -70,6 +70,12 @@ def longest(profile: str) -> list[Learning]:
     """Return the one repetition of PILCO that goes on for 40 trials, if it is stored; none in ``quick``."""
     found = None if profile == "quick" else analysis.load("pilco-paper-40")
     return [found] if found else []
+
+
+def without_a_model(profile: str) -> list[Learning]:
+    """Return the stored runs of DDPG and NAF, which have a chapter of their own; none in ``quick``."""
+    found = [] if profile == "quick" else [analysis.load(name) for name in ("ddpg", "naf")]
+    return [learning for learning in found if learning]
 
 
 def shown(learning: Learning) -> str:

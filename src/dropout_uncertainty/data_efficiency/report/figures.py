@@ -18,8 +18,8 @@ from dropout_uncertainty.judging.results import thesis_value
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, legend_above
 
 __all__ = [
-    "angles", "cost_curves", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_8", "gradient_shares",
-    "matched_output", "median_costs", "predicted_and_realised", "predicted_trial", "solved_over_trials",
+    "angles", "colour_of", "cost_curves", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_8", "gradient_shares",
+    "log_trials", "matched_output", "median_costs", "predicted_and_realised", "predicted_trial", "solved_over_trials",
 ]  # fmt: skip
 
 #: Size of the symbols in a sketch [points]: that of the formulas in the text.
@@ -137,7 +137,7 @@ def angles(ax: Axes, learning: Learning, trial: int, replica: int = 0) -> Axes:
     """Draw the angle that one repetition predicted for a trial, with two standard deviations, and what happened."""
     t = learning.plant.dt * np.arange(learning.plant.steps + 1)
     mean = learning.arrays["predicted_mean"][replica, trial, :, 3]
-    std, colour = learning.predicted_std[replica, trial, :, 3], _colour(learning)
+    std, colour = learning.predicted_std[replica, trial, :, 3], colour_of(learning)
     ax.fill_between(t, mean - 2 * std, mean + 2 * std, color=colour, alpha=0.25, linewidth=0, label="predicted")
     ax.plot(t, mean, color=colour)
     ax.plot(t, learning.arrays["states"][replica, trial, :, 3], color="black", linewidth=1.3, label="happened")
@@ -182,7 +182,7 @@ def cost_curves(ax: Axes, learnings: Sequence[Learning]) -> Axes:
             for times in (1, 2):
                 _shade(ax, learning, trial, mean - times * error, mean + times * error)
     ax.legend(loc="lower left")
-    return _log_trials(ax, "mean cost per step")
+    return log_trials(ax, "mean cost per step")
 
 
 def median_costs(ax: Axes, learnings: Sequence[Learning]) -> Axes:
@@ -195,22 +195,23 @@ def median_costs(ax: Axes, learnings: Sequence[Learning]) -> Axes:
             _shade(ax, learning, trial, low, high)
     if not ax.get_legend_handles_labels()[0]:
         ax.text(0.5, 0.5, "fewer than two repetitions are solved", ha="center", transform=ax.transAxes)
-    return _log_trials(ax, "median cost per step")
+    return log_trials(ax, "median cost per step")
 
 
 def _cost_curve(ax: Axes, learning: Learning, costs: np.ndarray, label: str) -> np.ndarray:
     trial = learning.tested
     line = {"pilco-matlab": "--", "original": ":"}.get(learning.config, "-")
     width = 0.8 if learning.config == "pilco-paper-40" else 1.8  # a single repetition behind the others
-    ax.plot(trial, costs, line, color=_colour(learning), linewidth=width, label=label)
+    ax.plot(trial, costs, line, color=colour_of(learning), linewidth=width, label=label)
     return trial
 
 
 def _shade(ax: Axes, learning: Learning, trial: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-    ax.fill_between(trial, low, high, color=_colour(learning), alpha=0.2, linewidth=0)
+    ax.fill_between(trial, low, high, color=colour_of(learning), alpha=0.2, linewidth=0)
 
 
-def _log_trials(ax: Axes, ylabel: str) -> Axes:
+def log_trials(ax: Axes, ylabel: str) -> Axes:
+    """Give an axis of trials a logarithmic scale with round numbers, and shares or costs the other."""
     ax.set(xscale="log", ylim=(0, 1.02), xlabel="trial", ylabel=ylabel)
     ticks = [t for t in (1, 2, 5, 10, 20, 50, 100, 400, 1000, 2500) if t <= ax.get_xlim()[1]]
     ax.set_xticks(ticks, [str(t) for t in ticks])
@@ -226,7 +227,7 @@ def figure_5_7(axes: Sequence[Axes], learnings: Sequence[Learning]) -> None:
     """
     for ax in axes:
         for learning in (x for x in learnings if len(x.seeds) > 1 and math.isfinite(x.trials_to_solve.value)):
-            ax.axvline(learning.trials_to_solve.value, color=_colour(learning), linewidth=1.1)
+            ax.axvline(learning.trials_to_solve.value, color=colour_of(learning), linewidth=1.1)
         for identifier, _, colour in PRINTED:
             ax.axvline(thesis_value(identifier) or math.nan, color=colour, linestyle="--", linewidth=1.1)
     for identifier, name, colour in PRINTED:
@@ -260,7 +261,8 @@ def _seconds(ax: Axes, plant: CartPole) -> None:
     axis.set_xlabel(f"seconds of experience, {trial:g} s a trial")
 
 
-def _colour(learning: Learning) -> str:
+def colour_of(learning: Learning) -> str:
+    """Return the colour of a learner in all figures."""
     name = analysis.NAMES.get(learning.config, "pilco").replace("/", "-")
     return COLOURS.get(name, COLOURS["pilco"])
 
@@ -270,7 +272,7 @@ def solved_over_trials(ax: Axes, learnings: Sequence[Learning], *, ever: bool) -
     for learning in learnings:
         trial, solved = learning.tested, learning.counted(learning.solved)
         share = (np.logical_or.accumulate(solved, 1) if ever else solved).mean(0)
-        ax.step(trial, share, where="mid", color=_colour(learning), label=learning.label)
+        ax.step(trial, share, where="mid", color=colour_of(learning), label=learning.label)
     title = "solved so far" if ever else "this trial is solved"
     ax.set(xlabel="trial", ylim=(-0.02, 1.02), title=title)
     if ever:

@@ -30,8 +30,8 @@ from dropout_uncertainty.stats import (
 )
 
 __all__ = [
-    "DEEP_TEXT", "DOUBT", "MARGIN_COST", "MARGIN_LOG", "MARGIN_SHARE", "STATEMENTS", "cost_of_learning", "dearer",
-    "stated",
+    "DEEPER", "DEEP_TEXT", "DOUBT", "INTRODUCTION", "MARGIN_COST", "MARGIN_LOG", "MARGIN_SHARE", "RESULT", "STATEMENTS",
+    "cost_of_learning", "dearer", "stated", "times_as_many",
 ]  # fmt: skip
 
 CHAPTER, DOUBT = "5_4_data_efficiency", "5_4_what_doubt_is_worth"
@@ -233,16 +233,6 @@ STATEMENTS: list[Statement] = [
     stated("DE7d", "Planning on its mean alone, PILCO predicts the first steps of a trial better than the last ones.",
            PILCO_TEXT, "more", MARGIN_SHARE, partial(fades, "doubt/pilco-mean"), unit="share", chapter=DOUBT,
            would_test="predicted states step by step of runs without doubt, which are to be made"),
-    *(
-        stated(f"DE9{letter}", f"{learner} needs more than {words} times as many trials as Deep PILCO.",
-               f"{INTRODUCTION}, {RESULT}", "more", NEAR * times,
-               partial(times_as_many, learner.lower(), DEEPER[0], times), unit="times", thesis=times,
-               would_test=f"runs of {learner} on this cart-pole; the printed trials are of others")
-        for letter, learner, words, times in (
-            ("a", "DDPG", "ten", 10.0), ("b", "NAF", "ten", 10.0),
-            ("c", "DDPG", "a hundred", 100.0), ("d", "NAF", "a hundred", 100.0),
-        )
-    ),
     stated("DE11a", "The less PILCO can predict a step, the less it counts in the gradient (rank correlation).",
            PILCO_TEXT, "less", MARGIN_SHARE, partial(gradient, 0)),
     stated("DE11b", "Steps that PILCO predicts well have a larger share of its gradient than without uncertainty.",

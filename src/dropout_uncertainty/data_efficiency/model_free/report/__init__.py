@@ -1,0 +1,1 @@
+"""Learners without a model: the report of `model_free.learner`."""
