@@ -23,7 +23,7 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.environment import CartPoleSwingUp
 from dropout_uncertainty.stats import in_words, t_interval
 
-NAME = "ddpg-search/not-normalised"
+NAME = "ddpg-search/noise-1-not-normalised"
 
 
 class Features(gymnasium.ObservationWrapper):

@@ -25,7 +25,7 @@ from filelock import FileLock, Timeout
 
 from dropout_uncertainty import folders
 from dropout_uncertainty.errors import UserError
-from dropout_uncertainty.page import profiles, public, tables
+from dropout_uncertainty.page import dark_pages, profiles, public, tables
 from dropout_uncertainty.runs import executors, records
 
 __all__ = ["BookError", "build", "build_epub", "notebooks", "print_pdf", "run_notebooks", "times"]
@@ -35,6 +35,8 @@ NOTEBOOKS, PROSE, CONFIG = Path("notebooks"), Path("book"), Path("_config.yml")
 BUILD = Path("_build")
 EXECUTED, RUNNING, SOURCE, HTML = BUILD / "notebooks", BUILD / "running", BUILD / "source", BUILD / "html"
 LAUNCHABLE = BUILD / "launch"
+#: The figures for dark pages.
+SECOND = BUILD / "dark"
 SINGLE, PDF = BUILD / "singlehtml", HTML / "book.pdf"
 PACKED, EPUB = BUILD / "epub", HTML / "book.epub"
 # beside the source as beside the notebooks, so that the same links lead to them from both
@@ -257,6 +259,7 @@ def _execute(name: str, profile: str, places: int) -> dict[str, float]:
     source, running = NOTEBOOKS / f"{name}.ipynb", RUNNING / f"{name}.ipynb"
     (EXECUTED / running.name).unlink(missing_ok=True)
     os.environ["OMP_NUM_THREADS"] = str(max(1, (os.cpu_count() or 1) // places))
+    os.environ[dark_pages.TWICE] = "1"
     # every parameter is injected, so that the page can show the injected cell alone
     known = papermill.inspect_notebook(str(source))
     parameters = {key: ast.literal_eval(value["default"]) for key, value in known.items()} | {"profile": profile}
@@ -373,13 +376,15 @@ def _assemble() -> None:
     missing = [name for name in notebooks() if not (EXECUTED / f"{name}.ipynb").exists()]
     if missing:
         raise BookError(f"{NOTEBOOKS / missing[0]}.ipynb has not been run: run the notebooks before the build")
-    for stale in (SOURCE, COPIED):
+    for stale in (SOURCE, COPIED, SECOND):
         shutil.rmtree(stale, ignore_errors=True)
     shutil.copytree(PROSE, SOURCE)
     if RECORDS.exists():
         shutil.copytree(RECORDS, COPIED, ignore=shutil.ignore_patterns(".*"))
     for name in notebooks():
-        shutil.copy(EXECUTED / f"{name}.ipynb", SOURCE)
+        executed = json.loads((EXECUTED / f"{name}.ipynb").read_text(encoding="utf-8"))
+        text = json.dumps(dark_pages.taken_out(executed, SECOND), indent=1, ensure_ascii=False)
+        (SOURCE / f"{name}.ipynb").write_text(text, encoding="utf-8")
 
 
 def _build_html() -> None:
@@ -387,6 +392,7 @@ def _build_html() -> None:
     for stale in (HTML, BUILD / ".doctrees"):
         shutil.rmtree(stale, ignore_errors=True)
     _jupyter_book("html")
+    dark_pages.offer(HTML, SECOND)
 
 
 def _jupyter_book(builder: str, *options: str) -> None:

@@ -4,6 +4,7 @@ import base64
 import contextlib
 import importlib
 import io
+import os
 import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -16,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
+from dropout_uncertainty.page import dark_figures, dark_pages
 from dropout_uncertainty.stats import t_interval
 
 __all__ = ["COLOURS", "SMALL", "WIDTH", "band", "legend_above", "missing", "small_png", "style", "use_style"]
@@ -94,12 +96,21 @@ def use_style() -> None:
         shell.display_formatter.formatters["image/png"].for_type(Figure, small_png)
 
 
-def small_png(figure: Figure) -> tuple[str, dict[str, int]] | None:
+def small_png(figure: Figure) -> tuple[str, dict[str, Any]] | None:
     """Return a figure as base64 of a PNG, and its width and height on the page [px]; None for an empty one.
 
     It has two dots per pixel, for paper and sharp screens, and the 256 colours that suit it best, which need a quarter
-    of the bytes of all colours.
+    of the bytes of all colours. While the book is made the metadata also hold the picture for `dark_pages`.
     """
+    light = _drawn(figure, "white")
+    if light is None or not os.environ.get(dark_pages.TWICE):
+        return light
+    with dark_figures.darkened(figure):
+        second = _drawn(figure, dark_figures.GROUND)
+    return light[0], {**light[1], dark_pages.KEY: second[0] if second else None}
+
+
+def _drawn(figure: Figure, ground: str) -> tuple[str, dict[str, Any]] | None:
     from IPython.core.pylabtools import retina_figure
 
     picture = retina_figure(figure, base64=False, bbox_inches="tight")
@@ -107,7 +118,10 @@ def small_png(figure: Figure) -> tuple[str, dict[str, int]] | None:
         return None
     full, size = Image.open(io.BytesIO(picture[0])).convert("RGB"), picture[1]
     few, file = full.quantize(method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE), io.BytesIO()
-    few.putpalette([255 if part > 251 else part for part in few.getpalette() or ()])  # the ground stays white
+    parts = [round(255 * part) for part in mpl.colors.to_rgb(ground)]
+    palette = np.array(few.getpalette()).reshape(-1, 3)
+    palette[np.abs(palette - parts).max(1) < 4] = parts  # the ground stays what it is
+    few.putpalette(palette.ravel().tolist())
     few.save(file, "png", optimize=True)
     return base64.b64encode(file.getvalue()).decode(), size
 

@@ -57,12 +57,20 @@ def test_a_repetition_alone_and_a_resumed_run_give_the_same(config):
 
 
 def test_the_search_changes_what_its_names_say_and_has_the_grid_of_nafs_paper():
-    words = {"noise_std": "noise", "normalise": "not-normalised", "policy_rate": "policy-rate", "follow": "follow"}
+    words = {
+        "noise_std": "noise",
+        "normalise": "not-normalised",
+        "policy_rate": "policy-rate",
+        "follow": "follow",
+        "value_decay": "no-decay",
+    }
     for name, config in SEARCH.items():
         printed = replace(DDPG_AS_PRINTED if config.method == "ddpg" else NAF_AS_PRINTED, trials=400)
         for key, _, new in config_diff(config_dict(printed), config_dict(config)):
             assert words.get(key, "rate") in name
-            assert key == "normalise" or any(float(part) == new for part in re.findall(r"-([0-9.]+(?:e-\d)?)", name))
+            assert key in ("normalise", "value_decay") or any(
+                float(part) == new for part in re.findall(r"-([0-9.]+(?:e-\d)?)", name)
+            )
     grid = {(c.value_rate, c.noise_std) for c in SEARCH.values() if c.method == "naf" and c.follow == NAF.follow}
     assert grid == {(rate, noise) for rate in (1e-4, 1e-3, 1e-2) for noise in (0.1, 0.3, 1.0)}
 
