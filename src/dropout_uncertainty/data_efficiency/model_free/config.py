@@ -90,8 +90,8 @@ NAF_AS_PRINTED = ModelFreeConfig(
 
 #: What the search on development seeds tries: for NAF the paper's own grid, for DDPG changes of what is printed, in
 #: three rounds. Without more noise no reward is ever met; with it, the decay of Q is stronger than rewards so rare. The
-#: best is the one of least mean cost over the tests of the last hundred trials. More than one update a step is not among
-#: DDPG's: twenty repetitions of 2,500 trials would take seven core-hours with five.
+#: best is the one of least mean cost over the tests of the last hundred trials. More than one update a step is not
+#: among DDPG's: twenty repetitions of 2,500 trials would take seven core-hours with five.
 CHANGES: dict[str, dict[str, Any]] = {
     "ddpg-search/printed": {},
     "ddpg-search/policy-rate-1e-3": {"policy_rate": 1e-3},
