@@ -117,7 +117,7 @@ SEARCH: dict[str, ModelFreeConfig] = {
 
 #: The best of the search by that rule, which the published runs have.
 DDPG_TUNED = DDPG_AS_PRINTED
-NAF_TUNED = NAF_AS_PRINTED
+NAF_TUNED = replace(NAF_AS_PRINTED, noise_std=1.0)
 
 #: Other ends of a trial, over the first 400 trials: the end counts as one, without or with time among the inputs; or it
 #: does not, as usual, with time among them.
