@@ -171,3 +171,18 @@ def test_wrong_settings_are_answered_in_a_sentence(values, words):
 def test_another_device_is_refused():
     with pytest.raises(RunError, match="run on the CPU, got the device cuda"):
         learner.start(DDPG, SEEDS, device="cuda")
+
+
+@pytest.mark.parametrize("config", [DDPG, NAF])
+def test_networks_that_diverge_end_their_repetition_and_no_other(config):
+    usual = run(config).result()["costs"]
+    process = run(config, blocks=1)
+    for trained in process.agent.networks.values():
+        with torch.no_grad():
+            trained.network.parameters[0][1] = torch.nan
+    process.advance()
+    assert process.running.tolist() == [0, 2]
+    process.advance()
+    costs = process.result()["costs"]
+    np.testing.assert_array_equal(np.isfinite(costs[1]).any(-1).nonzero()[0], [3, 6])
+    np.testing.assert_allclose(costs[[0, 2]], usual[[0, 2]], rtol=1e-5)

@@ -41,7 +41,8 @@ CONFIGS = {
 class ModelFree:
     """R repetitions of DDPG or NAF; a step of the process is a block of trials that ends with a test.
 
-    A repetition whose last tests were all solved (`ModelFreeConfig.solved_tests`) takes no part in later blocks.
+    A repetition whose last tests were all solved (`ModelFreeConfig.solved_tests`) takes no part in later blocks,
+    nor does one whose networks have diverged, which stays among the unsolved.
     """
 
     def __init__(self, config: ModelFreeConfig, seeds: Sequence[int], dtype: torch.dtype = torch.float32) -> None:
@@ -72,13 +73,17 @@ class ModelFree:
         tests = self._solved_tests()
         recent = tests[:, max(0, self.done - config.solved_tests) : self.done]
         going = recent.sum(1) < config.solved_tests
-        self._keep(going[self.running])
+        self._keep(going[self.running] & self._sound())
         return f"solved {int(tests.any(1).sum())}/{len(self.seeds)}, {len(self.running)} running"
 
     def _solved_tests(self) -> Tensor:
         """Return which tests were solved [R, tests]; those that were not made count as unsolved."""
         every = self.config.test_every
         return solved(self.config.plant, self.log["costs"][:, every::every])
+
+    def _sound(self) -> Tensor:
+        """Return which of the running repetitions [R] have networks that still give numbers."""
+        return self.agent.act(torch.zeros(len(self.running), self.memory.widths[0], dtype=self.dtype)).isfinite()
 
     def _keep(self, which: Tensor) -> None:
         if which.all():
@@ -101,7 +106,8 @@ class ModelFree:
         chosen = self._draw(lambda g: torch.rand(size, generator=g, dtype=torch.float64), "replay", trial)
         inputs, costs, errors = self._inputs(state + noise[:, 0], 0), [], []
         for t in range(plant.steps):
-            action = (self.agent.act(inputs) + disturbance[:, t].to(self.dtype)).clamp(-1, 1)
+            # networks that have just diverged push with no force for the rest of their last block
+            action = (self.agent.act(inputs).nan_to_num(0.0) + disturbance[:, t].to(self.dtype)).clamp(-1, 1)
             state = step_each(plant, state, plant.force_limit * action.double())
             costs.append(cost(plant, state))
             following = self._inputs(state + noise[:, t + 1], t + 1)
