@@ -116,7 +116,7 @@ SEARCH: dict[str, ModelFreeConfig] = {
 }
 
 #: The best of the search by that rule, which the published runs have.
-DDPG_TUNED = DDPG_AS_PRINTED
+DDPG_TUNED = replace(DDPG_AS_PRINTED, noise_std=1.0, value_decay=0.0, normalise=False)
 NAF_TUNED = replace(NAF_AS_PRINTED, noise_std=1.0)
 
 #: Other ends of a trial, over the first 400 trials: the end counts as one, without or with time among the inputs; or it
