@@ -2,9 +2,8 @@
 
     python benchmarks/ddpg_cross_check.py [--trials 400] [--seeds 5]
 
-Ours are the stored runs of the search without batch normalisation, which stable-baselines3 has not. Its DDPG is given
-the same features, widths, step sizes, noise and tests; what is left different is printed with the table. Ten minutes of
-one core.
+Ours are the stored runs of the best setting of the search. Its DDPG is given the same features, widths, step sizes,
+noise and tests; what is left different is printed with the table. Ten minutes of one core.
 """
 
 import argparse
@@ -23,7 +22,7 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.environment import CartPoleSwingUp
 from dropout_uncertainty.stats import in_words, t_interval
 
-NAME = "ddpg-search/noise-1-not-normalised"
+NAME = "ddpg-search/noise-1-no-decay-not-normalised"
 
 
 class Features(gymnasium.ObservationWrapper):

@@ -6,16 +6,16 @@ from dataclasses import replace
 
 from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.model_free.learner import CONFIGS, start
-from dropout_uncertainty.data_efficiency.model_free.report.analysis import ends
+from dropout_uncertainty.data_efficiency.model_free.report.analysis import ends, search_table
 from dropout_uncertainty.data_efficiency.report import analysis
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.data_efficiency.report.statements import times_as_many
 from dropout_uncertainty.page.profiles import complete
-from dropout_uncertainty.page.tables import Words
+from dropout_uncertainty.page.tables import Rendered, Table, Words
 from dropout_uncertainty.runs.process import finished
 from dropout_uncertainty.stats import Interval, in_words
 
-__all__ = ["ends_table", "experience", "known", "more", "runs"]
+__all__ = ["experience", "known", "more", "other_ends", "runs", "search"]
 
 NAMES = ("ddpg", "naf")
 YARDSTICK = "deep-pilco-ours"
@@ -73,7 +73,16 @@ def more() -> Words:
     return Words("\n".join(lines))
 
 
-def ends_table() -> tuple[list[str], list[list[object]]]:
-    """Return heads and cells: what the stored runs with another end of a trial cost."""
+def search() -> Rendered:
+    """Return the table of every setting of the search."""
+    heads, cells = search_table()
+    return Table(cells, heads) if cells else Words("Nothing is stored of the search.")
+
+
+def other_ends() -> Rendered:
+    """Return the table of what the stored runs with another end of a trial cost."""
     heads = ["", "repetitions", "cost of a test", "less that of the learner as it is"]
-    return heads, [[f"`{x.name}`", x.cost.n, in_words(x.cost), in_words(x.difference)] for x in ends()]
+    cells = [[f"`{x.name}`", x.cost.n, in_words(x.cost), in_words(x.difference)] for x in ends()]
+    if not cells:
+        return Words("*Not run yet.*")
+    return Table(cells, heads, "Means over repetitions with 95 % intervals, pairs by seed.")
