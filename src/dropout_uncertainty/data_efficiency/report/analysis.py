@@ -101,8 +101,12 @@ class Learning:
 
     @property
     def tested(self) -> Int[np.ndarray, " tests"]:
-        """Numbers of the controlled trials that count: all, or those without noise of a learner without a model."""
-        return 1 + np.flatnonzero(np.isfinite(self.trial_costs[:, 1:]).any(0))
+        """Numbers of the controlled trials that count: all, or those without noise of a learner without a model.
+
+        They go on to the last trial also where all repetitions have ended before it.
+        """
+        first = 1 + int(np.isfinite(self.trial_costs[:, 1:]).any(0).argmax())
+        return np.arange(first, self.trials + 1, first)
 
     def counted(self, values: Shaped[np.ndarray, "R trials"]) -> Shaped[np.ndarray, "R tests"]:
         """Return the values of the trials that count; a repetition that has ended keeps its last."""
@@ -181,8 +185,11 @@ class Learning:
 
     @property
     def kept(self) -> Interval:
-        """Share of the solved repetitions, with trials left, that keep at least ``KEPT`` of those solved."""
-        share = self.kept_share
+        """Share of the solved repetitions, with trials left, that keep at least ``KEPT`` of those solved.
+
+        Of none where a repetition ends once it has kept its solution for a while, as those without a model do.
+        """
+        share = self.kept_share if len(self.tested) == self.trials else np.empty(0)
         return share_interval(share[~np.isnan(share)] >= KEPT)
 
 
@@ -349,10 +356,11 @@ def _results(learning: Learning, name: str) -> list[Result]:
         ("trials-to-solve", learning.trials_to_solve, "trials", solve),
         ("kept", learning.kept, "share", f"solved repetitions with at least {KEPT:.0%} of the later trials solved"),
     ]
+    ended = "" if len(learning.tested) == learning.trials else "; of a repetition that has ended that of its last test"
     for trial in (t for t in TRIALS if t in learning.tested):
         statistics += [
             (f"solved-by-{trial}", learning.solved_by(trial), "share", f"repetitions solved by trial {trial}"),
-            (f"cost-at-{trial}", learning.cost_at(trial), "cost per step", f"mean cost of trial {trial}"),
+            (f"cost-at-{trial}", learning.cost_at(trial), "cost per step", f"mean cost of trial {trial}{ended}"),
         ]
     return listed(name, statistics, learning.records, learning.config)
 

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 from dropout_uncertainty.data_efficiency.configs import CONFIGS
 from dropout_uncertainty.data_efficiency.model_free.config import ENDS, SEARCH
 from dropout_uncertainty.data_efficiency.model_free.report import analysis, chapter, figures
-from dropout_uncertainty.data_efficiency.report.analysis import from_records, load
+from dropout_uncertainty.data_efficiency.report.analysis import from_arrays, from_records, load
 from dropout_uncertainty.page.plotting import WIDTH
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.settings import config_dict, config_hash
@@ -76,6 +76,17 @@ def test_another_end_is_held_against_the_same_trials_of_the_same_seeds(folder):
         {"ends/ddpg/terminal/cost": 0.702, "ends/ddpg/terminal/difference": -0.2}, abs=1e-6
     )
     assert all(config.trials == 400 for config in ENDS.values())
+
+
+def test_a_repetition_that_has_ended_keeps_its_last_test_until_the_last_trial(tmp_path):
+    write(tmp_path, "naf", 0.5, solved=[100] * 5)
+    arrays = dict(load("naf", tmp_path).arrays)
+    arrays["costs"][:, 131:] = np.nan  # three tests in a row were solved
+    ended = from_arrays("naf", CONFIGS["naf"].plant, arrays, range(5))
+    assert ended.tested[-1] == 2_500
+    assert analysis.end_cost(ended).tolist() == [0] * 5
+    assert ended.cost_at(1000).value == 0
+    assert ended.kept.n == 0  # it ended because its solution was kept
 
 
 def test_tables_and_figures_take_learners_of_any_length(folder):

@@ -66,9 +66,9 @@ def more() -> Words:
     lines = []
     for learning in (found for name in NAMES if (found := analysis.load(name))):
         times = times_as_many(learning.config, YARDSTICK, 0.0, None).ours
-        words = f"{in_words(times, '.0f')} times"
+        words = f"{in_words(times, '.0f', unbounded='no upper end')} times"
         if math.isinf(times.value):
-            words = f"more than {times.low:.0f} times (lower end of the 95 % interval; half are not solved)"
+            words = f"more than {times.low:.0f} times (lower end of the 95 % interval; fewer than half are solved)"
         lines.append(f"- **{learning.label}** needs {words} as many trials as Deep PILCO.")
     return Words("\n".join(lines))
 
@@ -82,7 +82,7 @@ def search() -> Rendered:
 def other_ends() -> Rendered:
     """Return the table of what the stored runs with another end of a trial cost."""
     heads = ["", "repetitions", "cost of a test", "less that of the learner as it is"]
-    cells = [[f"`{x.name}`", x.cost.n, in_words(x.cost), in_words(x.difference)] for x in ends()]
+    cells = [[f"`{x.name}`", x.difference.n, in_words(x.cost), in_words(x.difference)] for x in ends()]
     if not cells:
         return Words("*Not run yet.*")
     return Table(cells, heads, "Means over repetitions with 95 % intervals, pairs by seed.")
