@@ -42,10 +42,11 @@ def test_afterwards_a_figure_is_what_it_was():
     ax.fill_between([0, 1], [0, 1], color="#0072B2", alpha=0.2)
     ax.scatter([0], [1], edgecolors="none", color="black")
     ax.annotate("note", (0, 0), (1, 1), arrowprops={"color": "black"}, bbox={"facecolor": "white"})
-    ax.legend()
+    ax.legend(frameon=True, edgecolor="none", framealpha=1)
     canvas.draw()
     before = np.asarray(canvas.buffer_rgba()).copy()
     with darkened(figure):
+        assert ax.get_legend().get_frame().get_edgecolor()[3] == 0
         canvas.draw()
         night = np.asarray(canvas.buffer_rgba()).copy()
     canvas.draw()

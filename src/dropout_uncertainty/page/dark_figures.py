@@ -75,7 +75,7 @@ def darkened(figure: Figure) -> Iterator[None]:
         if not _is_data(artist)
         for part in PARTS
         if (change := getattr(artist, f"set_{part}", None)) and (get := getattr(artist, f"get_{part}", None))
-        if not isinstance(before := get(), str) or before not in ("none", "auto", "face")
+        if not _is_none(before := get())
     ]
     try:
         for change, before in found:
@@ -85,6 +85,13 @@ def darkened(figure: Figure) -> Iterator[None]:
     finally:
         for change, before in reversed(found):
             change(before)
+
+
+def _is_none(colour: Any) -> bool:
+    """Return whether a part is not drawn, or in the colour of another part."""
+    if isinstance(colour, str):
+        return colour in ("none", "auto", "face")
+    return not np.any(colors.to_rgba_array(colour)[:, 3])
 
 
 def _artists(figure: Figure) -> Iterator[Artist]:

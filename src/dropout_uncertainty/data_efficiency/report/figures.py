@@ -238,7 +238,7 @@ def figure_5_7(axes: Sequence[Axes], learnings: Sequence[Learning]) -> None:
     median_costs(axes[1], learnings)
     for ax, title in zip(axes, ("repetitions in brackets", "those solved in brackets"), strict=True):
         if ax.get_legend_handles_labels()[0]:
-            ax.legend(loc="center right", frameon=True, edgecolor="none", framealpha=1, title=title)
+            ax.legend(loc="lower right", frameon=True, edgecolor="none", framealpha=1, title=title)
     axes[0].set_xlabel("")
     _seconds(axes[1], learnings[0].plant)
 
