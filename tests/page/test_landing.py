@@ -148,7 +148,7 @@ ADVICE = {
     "EX7b": "contradicted", "EX7f": "contradicted", "EX9": "contradicted", "DE1a": "supported", "DE2d": "supported",
     "DE2g": "supported", "DE3h": "contradicted", "DE4a": "inconclusive", "DE4d": "no difference", "DE5b": "supported",
     "DE5d": "supported", "DE6b": "supported", "DE6c": "no difference", "DE7a": "supported", "DE7b": "supported",
-    "DE7c": "untested", "DE8a": "differs", "DE8d": "agrees", "DE9a": "untested", "DE9b": "untested",
+    "DE7c": "untested", "DE8a": "differs", "DE8d": "agrees", "DE9a": "supported", "DE9b": "supported",
     "DE13": "supported", "DE13b": "inconclusive", "DE14a": "supported", "DE15": "untested",
 }  # fmt: skip
 

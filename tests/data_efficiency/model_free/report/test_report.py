@@ -1,5 +1,6 @@
 """The page on learners without a model, from small made-up records: search, numbers, words and pictures."""
 
+import re
 from dataclasses import replace
 
 import matplotlib
@@ -13,6 +14,8 @@ from dropout_uncertainty.data_efficiency.configs import CONFIGS
 from dropout_uncertainty.data_efficiency.model_free.config import ENDS, SEARCH
 from dropout_uncertainty.data_efficiency.model_free.report import analysis, chapter, figures
 from dropout_uncertainty.data_efficiency.report.analysis import from_arrays, from_records, load
+from dropout_uncertainty.judging.collect import STATEMENTS
+from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.page.plotting import WIDTH
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.settings import config_dict, config_hash
@@ -101,3 +104,16 @@ def test_tables_and_figures_take_learners_of_any_length(folder):
     assert figure.get_figwidth() == WIDTH
     assert [line.get_ydata()[-1] for line in figure.axes[0].lines] == pytest.approx([0.6, 0.2])
     plt.close(figure)
+
+
+def test_what_the_page_says_of_the_stored_runs():
+    """Where this changes, write "What it means" again, and the line of "What to use when"."""
+    said = {"DE9a": "supported", "DE9b": "supported", "DE9c": "inconclusive", "DE9d": "inconclusive"}
+    assert {name: judge([STATEMENTS[name]])[0].verdict for name in said} == said
+    ddpg, naf = load("ddpg"), load("naf")
+    assert {len(learning.seeds) for learning in (ddpg, naf)} == {10}
+    assert sum(np.isinf(learning.first_solved).sum() for learning in (ddpg, naf)) == 1
+    kept = re.findall(r"(\d+) of 10 repetitions had 3 solved tests in a row", chapter.more().markdown)
+    assert sum(map(int, kept)) == 10
+    assert all(end.difference.low < 0 < end.difference.high for end in analysis.ends())
+    assert [len(end.records[0].seeds) for end in analysis.ends()] == [5] * 3
