@@ -122,11 +122,11 @@ NAF_TUNED = replace(NAF_AS_PRINTED, **CHANGES["naf-search/rate-0.001-noise-1"])
 #: Other ends of a trial, over the first 400 trials: the end counts as one, without or with time among the inputs; or it
 #: does not, as usual, with time among them.
 ENDS: dict[str, ModelFreeConfig] = {
-    f"ends/{config.method}/{name}": replace(config, trials=400, **change)
+    f"ends/{config.method}/{name}": replace(config, trials=400, end_is_terminal=terminal, time_input=time)
     for config in (DDPG_TUNED, NAF_TUNED)
-    for name, change in {
-        "terminal": {"end_is_terminal": True},
-        "terminal-with-time": {"end_is_terminal": True, "time_input": True},
-        "with-time": {"time_input": True},
-    }.items()
+    for name, terminal, time in (
+        ("terminal", True, False),
+        ("terminal-with-time", True, True),
+        ("with-time", False, True),
+    )
 }

@@ -4,8 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.model_free.learner import CONFIGS, start
 from dropout_uncertainty.data_efficiency.model_free.report.analysis import ends, search_table
@@ -53,12 +51,12 @@ def experience(learnings: Sequence[Learning]) -> tuple[list[str], list[list[obje
     for learning in learnings:
         length = learning.plant.steps * learning.plant.dt
         solve = learning.trials_to_solve
-        seconds = Interval(*(length * trial for trial in solve[:3]), solve.n)
+        value, low, high = (length * trial for trial in solve[:3])
         shares = [in_words(learning.solved_by(t), ".0%") if t <= learning.trials else None for t in trials]
         cells.append([
             f"{learning.label} ({len(learning.seeds)})",
             in_words(solve, ".0f", unbounded=f"> {learning.trials}"),
-            in_words(seconds, ".0f", unbounded=f"> {learning.trials * length:.0f}"), *shares,
+            in_words(Interval(value, low, high, solve.n), ".0f", unbounded=f"> {learning.trials * length:.0f}"), *shares,
         ])  # fmt: skip
     return heads, cells
 
@@ -72,7 +70,7 @@ def more() -> Words:
         if math.isinf(times.value):
             words = f"more than {times.low:.0f} times (lower end of the 95 % interval; fewer than half are solved)"
         solved, row = learning.solved[:, learning.tested], CONFIGS[learning.config].solved_tests
-        kept = int(np.lib.stride_tricks.sliding_window_view(solved, row, axis=1).all(-1).any(1).sum())
+        kept = sum("1" * row in "".join(map(str, tests)) for tests in solved.astype(int).tolist())
         lines.append(
             f"- **{learning.label}** needs {words} as many trials as Deep PILCO. "
             f"{kept} of {len(solved)} repetitions had {row} solved tests in a row."
