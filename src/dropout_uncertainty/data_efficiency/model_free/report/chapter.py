@@ -49,15 +49,16 @@ def experience(learnings: Sequence[Learning]) -> tuple[list[str], list[list[obje
     heads = ["", "trials to solve", "seconds of the plant", *(f"solved by {trial}" for trial in trials)]
     cells: list[list[object]] = []
     for learning in learnings:
-        length = learning.plant.steps * learning.plant.dt
-        solve = learning.trials_to_solve
+        length, last, solve = learning.plant.steps * learning.plant.dt, learning.trials, learning.trials_to_solve
         value, low, high = (length * trial for trial in solve[:3])
-        shares = [in_words(learning.solved_by(t), ".0%") if t <= learning.trials else None for t in trials]
-        cells.append([
-            f"{learning.label} ({len(learning.seeds)})",
-            in_words(solve, ".0f", unbounded=f"> {learning.trials}"),
-            in_words(Interval(value, low, high, solve.n), ".0f", unbounded=f"> {learning.trials * length:.0f}"), *shares,
-        ])  # fmt: skip
+        cells.append(
+            [
+                f"{learning.label} ({len(learning.seeds)})",
+                in_words(solve, ".0f", unbounded=f"> {last}"),
+                in_words(Interval(value, low, high, solve.n), ".0f", unbounded=f"> {last * length:.0f}"),
+                *(in_words(learning.solved_by(trial), ".0%") if trial <= last else None for trial in trials),
+            ]
+        )
     return heads, cells
 
 
