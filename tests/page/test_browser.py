@@ -112,6 +112,7 @@ OVERFLOW = """() => {
 }"""
 # Figures for which the column is too narrow: their letters would be smaller than those of the others.
 SHRUNK = """() => [...document.querySelectorAll('.cell_output :is(img, svg.picture)')].flatMap((e) => {
+  if (!e.checkVisibility()) return [];  // the picture for the other ground
   const drawn = e.style.width || e.style.maxWidth, shown = e.getBoundingClientRect().width;
   const wanted = drawn.endsWith('pt') ? parseFloat(drawn) * 96 / 72 : parseFloat(drawn);
   return shown >= wanted - 1 ? [] : [`drawn ${wanted} px wide, shown ${shown}: ${e.outerHTML.slice(0, 120)}`];

@@ -19,7 +19,7 @@ from matplotlib.text import Annotation, Text
 __all__ = ["GROUND", "dark", "darkened"]
 
 #: The ground of the theme's dark pages.
-GROUND = "#14181e"
+GROUND = "#121212"
 #: Colours of less chroma than this are greys and pale grounds, whose lightness is turned round.
 PALE = 0.06
 #: Lightness of black on a dark page, and the least of a curve.
@@ -56,11 +56,10 @@ def dark(colour: Any) -> Float[np.ndarray, "N 4"]:
     """
     rgba = np.atleast_2d(colors.to_rgba_array(colour)).astype(float)
     oklab = _oklab(rgba[:, :3])
-    lightness, ground = oklab[:, 0].copy(), _oklab(colors.to_rgba_array(GROUND)[:, :3])[0]
+    lightness, ground = oklab[:, 0].copy(), _oklab(colors.to_rgba_array(GROUND)[:, :3])[0, 0]
+    turned = ground + (LETTERS - ground) * np.clip(1 - lightness, 0, 1) ** 0.7
     pale = np.hypot(*oklab[:, 1:].T) < PALE
-    turned = ground[0] + (LETTERS - ground[0]) * np.clip(1 - lightness, 0, 1) ** 0.7
     oklab[:, 0] = np.where(pale, turned, np.maximum(lightness, CURVE))
-    oklab[pale, 1:] += lightness[pale, None] ** 4 * ground[1:]  # the ground is not quite grey
     rgba[:, :3] = _rgb(oklab)
     return rgba
 
