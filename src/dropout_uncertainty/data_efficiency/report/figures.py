@@ -236,9 +236,16 @@ def figure_5_7(axes: Sequence[Axes], learnings: Sequence[Learning]) -> None:
         axes[0].text(trials, 1.02, f"{name}\n{trials:g}", transform=axes[0].get_xaxis_transform(), **place)
     cost_curves(axes[0], learnings)
     median_costs(axes[1], learnings)
-    for ax, title in zip(axes, ("repetitions in brackets", "those solved in brackets"), strict=True):
+    for ax, title, columns in zip(axes, ("repetitions in brackets", "those solved in brackets"), (1, 2), strict=True):
         if ax.get_legend_handles_labels()[0]:
-            ax.legend(loc="lower right", frameon=True, edgecolor="none", framealpha=1, title=title)
+            box: dict[str, Any] = {
+                "frameon": True,
+                "edgecolor": "none",
+                "framealpha": 1,
+                "handlelength": 1,
+                "columnspacing": 1,
+            }
+            ax.legend(loc="lower right", title=title, ncols=columns, **box)
     axes[0].set_xlabel("")
     _seconds(axes[1], learnings[0].plant)
 
