@@ -73,13 +73,12 @@ class Tests(BaseCallback):
 def theirs(config: ModelFreeConfig, trials: int, seed: int) -> np.ndarray:
     """Return the mean cost per step of the tests [tests]."""
     noise = OrnsteinUhlenbeckActionNoise(np.zeros(1), config.noise_std * np.ones(1), theta=config.noise_return, dt=1.0)
-    TwoRates.config = config
     model = TwoRates(
         "MlpPolicy", Features(config), batch_size=config.batch, gamma=config.discount, tau=config.follow, seed=seed,
         learning_starts=0, buffer_size=trials * config.plant.steps, action_noise=noise, device="cpu",
         policy_kwargs={"net_arch": list(config.hidden)},
     )  # fmt: skip
-    tests = Tests(config.test_every)
+    model.config, tests = config, Tests(config.test_every)
     model.learn(trials * config.plant.steps, callback=tests)
     return np.array(tests.costs) / config.plant.steps
 
@@ -91,13 +90,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     asked = parser.parse_args()
     torch.set_num_threads(1)
-    learning = searched()[NAME]
+    learning, every = searched()[NAME], SEARCH[NAME].test_every
     ours = learning.counted(learning.trial_costs)
     others = np.stack([theirs(SEARCH[NAME], asked.trials, 100 + seed) for seed in range(asked.seeds)])
     edges = range(0, asked.trials + 1, 100) if asked.trials % 100 == 0 else (0, asked.trials)
     print(f"{'trials':>10} {'ours':>22} {'stable-baselines3':>22}")
     for low, high in itertools.pairwise(edges):
-        block = slice(low // 10, high // 10)
+        block = slice(low // every, high // every)
         columns = (in_words(t_interval(costs[:, block].mean(1))) for costs in (ours, others))
         print(f"{f'{low + 1}-{high}':>10}", *(f"{column:>22}" for column in columns))
     print("Different in theirs: the action joins Q at its input, layers start and end with PyTorch's weights.")

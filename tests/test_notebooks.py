@@ -123,6 +123,13 @@ def test_names_in_the_prose_are_there(path):
 
 
 @every_notebook
+def test_the_prose_names_no_colour_that_a_dark_page_turns_round(path):
+    cells = nbformat.read(path, as_version=4).cells
+    told = [cell.source if cell.cell_type == "markdown" else str(cell.metadata.get("mystnb")) for cell in cells]
+    assert not re.findall(r"\b(?:black|white)\b(?!-)", "\n".join(told))
+
+
+@every_notebook
 def test_every_notebook_is_in_the_table_of_contents(path):
     assert f"file: {path.stem}\n" in (ROOT / "book" / "_toc.yml").read_text(encoding="utf-8")
 

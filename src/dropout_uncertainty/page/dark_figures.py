@@ -4,6 +4,7 @@ A style sheet's filter cannot do that: what makes white dark also makes a dark b
 dark, so that they change places.
 """
 
+import colorsys
 import contextlib
 from collections.abc import Iterator
 from typing import Any
@@ -20,47 +21,30 @@ __all__ = ["GROUND", "dark", "darkened"]
 
 #: The ground of the theme's dark pages.
 GROUND = "#121212"
-#: Colours of less chroma than this are greys and pale grounds, whose lightness is turned round.
-PALE = 0.06
-#: Lightness of black on a dark page, and the least of a curve.
-LETTERS, CURVE = 0.87, 0.6
-#: Linear RGB to the cone responses of Oklab, and their cube roots to lightness and two colour axes (Ottosson, 2020).
-CONES = np.array([
-    [0.4122214708, 0.5363325363, 0.0514459929],
-    [0.2119034982, 0.6806995451, 0.1073969566],
-    [0.0883024619, 0.2817188376, 0.6299787005],
-])  # fmt: skip
-AXES = np.array([
-    [0.2104542553, 0.7936177850, -0.0040720468],
-    [1.9779984951, -2.4285922050, 0.4505937099],
-    [0.0259040371, 0.7827717662, -0.8086757660],
-])  # fmt: skip
+#: Colours whose parts are less far apart are greys and pale grounds, whose lightness is turned round.
+PALE = 0.22
+#: Lightness of black on a dark page.
+LETTERS = 0.85
+#: Luma below which a curve cannot be told from the ground, and the least lightness of one that is so dark.
+DIM, LIFTED = 0.3, 0.45
 PARTS = ("color", "facecolor", "edgecolor", "markerfacecolor", "markeredgecolor")
 
 
-def _oklab(rgb: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    return np.cbrt(linear @ CONES.T) @ AXES.T
-
-
-def _rgb(oklab: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    linear = np.clip(np.linalg.solve(CONES, np.linalg.solve(AXES, oklab.T) ** 3).T, 0, 1)
-    return np.clip(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055), 0, 1)
-
-
 def dark(colour: Any) -> Float[np.ndarray, "N 4"]:
-    """Return a colour, or several, as on a dark page: RGBA with the hue and the opacity that it has.
+    """Return a colour of matplotlib's, or N of them, as on a dark page: RGBA with the hue and the opacity that it has.
 
     White becomes the ground, black light, a grey or pale ground what lies as far between; of all others only those that
     are too dark for a curve become lighter.
     """
     rgba = np.atleast_2d(colors.to_rgba_array(colour)).astype(float)
-    oklab = _oklab(rgba[:, :3])
-    lightness, ground = oklab[:, 0].copy(), _oklab(colors.to_rgba_array(GROUND)[:, :3])[0, 0]
-    turned = ground + (LETTERS - ground) * np.clip(1 - lightness, 0, 1) ** 0.7
-    pale = np.hypot(*oklab[:, 1:].T) < PALE
-    oklab[:, 0] = np.where(pale, turned, np.maximum(lightness, CURVE))
-    rgba[:, :3] = _rgb(oklab)
+    ground = colorsys.rgb_to_hls(*colors.to_rgb(GROUND))[1]
+    for one in rgba:
+        hue, lightness, saturation = colorsys.rgb_to_hls(*one[:3])
+        if np.ptp(one[:3]) < PALE:
+            lightness = LETTERS + (ground - LETTERS) * lightness
+        elif colorsys.rgb_to_yiq(*one[:3])[0] < DIM:
+            lightness = max(lightness, LIFTED)
+        one[:3] = colorsys.hls_to_rgb(hue, lightness, saturation)
     return rgba
 
 

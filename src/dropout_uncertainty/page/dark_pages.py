@@ -20,7 +20,10 @@ KEY = "dark"
 
 
 def taken_out(notebook: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Take the second pictures out of an executed notebook, into files named after the content of the first."""
+    """Take the second pictures out of an executed notebook, as JSON, into files of a folder, and return it without.
+
+    A file is named after the content of the first picture (SHA-256), as MyST-NB will name that one.
+    """
     for output in (output for cell in notebook["cells"] for output in cell.get("outputs", ())):
         encoded = output.get("metadata", {}).get("image/png", {}).pop(KEY, None)
         if encoded:
@@ -31,7 +34,7 @@ def taken_out(notebook: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def offer(pages: Path, folder: Path) -> None:
-    """Put the second pictures that lie in a folder beside the first ones in all pages below another."""
+    """Put the second pictures that lie in ``folder`` beside the first ones in all pages below ``pages``."""
     for page in pages.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         mended = re.sub(r'<img [^>]*?src="([^"]*_images/)(\w+)\.png"[^>]*>', lambda m: _both(m, pages, folder), text)
@@ -44,9 +47,13 @@ def _both(image: re.Match[str], pages: Path, folder: Path) -> str:
     if not (folder / f"{name}.png").exists():
         return image[0]
     shutil.copyfile(folder / f"{name}.png", pages / "_images" / f"{name}-dark.png")
-    plain = re.sub(r' class="[^"]*"', "", image[0])
-    second = plain.replace(f"{place}{name}.png", f"{place}{name}-dark.png")
     # the theme puts a light ground below every picture but those of its class dark-light; what is hidden is not loaded
-    return plain.replace("<img ", '<img class="by-day" loading="lazy" ', 1) + second.replace(
-        "<img ", '<img class="by-night dark-light" loading="lazy" ', 1
-    )
+    second = image[0].replace(f"{place}{name}.png", f"{place}{name}-dark.png")
+    second = second.replace("<img ", '<img loading="lazy" ', 1)
+    return _of_class(image[0], "by-day") + _of_class(second, "by-night dark-light")
+
+
+def _of_class(image: str, name: str) -> str:
+    if ' class="' in image:
+        return image.replace(' class="', f' class="{name} ', 1)
+    return image.replace("<img ", f'<img class="{name}" ', 1)

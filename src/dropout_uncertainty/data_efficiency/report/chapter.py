@@ -17,8 +17,8 @@ from dropout_uncertainty.page.profiles import complete
 from dropout_uncertainty.page.tables import Folded, Rendered, Table, Words
 
 __all__ = [
-    "DEEP_LIVE", "PILCO_LIVE", "computing_time", "deep_pilco", "in_words", "learn", "longest", "panels", "pilco",
-    "plants", "shown", "solved", "telling", "times", "unsolved", "watch", "without_a_model",
+    "DEEP_LIVE", "PILCO_LIVE", "WITHOUT_A_MODEL", "computing_time", "deep_pilco", "in_words", "learn", "longest",
+    "panels", "pilco", "plants", "shown", "solved", "telling", "times", "unsolved", "watch", "without_a_model",
 ]  # fmt: skip
 
 #: Live runs by profile: repetitions, trials, and line searches of PILCO, or a share of the steps of Deep PILCO.
@@ -28,6 +28,7 @@ DEEP_LIVE = {"recorded": (1, 3, 0.4), "quick": (2, 5, 0.5), "full": (1, 3, 0.4)}
 STORED: dict[str, Sequence[int] | None] = {
     "pilco-paper": None, "pilco-matlab": None, "pilco-paper-15": None, "pilco-paper-40": [0],
 }  # fmt: skip
+WITHOUT_A_MODEL = ("ddpg", "naf")
 LATER = "The times of the stored runs are shown when there are some."
 
 
@@ -74,7 +75,7 @@ def longest(profile: str) -> list[Learning]:
 
 def without_a_model(profile: str) -> list[Learning]:
     """Return the stored runs of DDPG and NAF, which have a chapter of their own; none in ``quick``."""
-    found = [] if profile == "quick" else [analysis.load(name) for name in ("ddpg", "naf")]
+    found = [] if profile == "quick" else [analysis.load(name) for name in WITHOUT_A_MODEL]
     return [learning for learning in found if learning]
 
 

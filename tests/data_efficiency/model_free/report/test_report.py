@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 from dropout_uncertainty.data_efficiency.configs import CONFIGS
 from dropout_uncertainty.data_efficiency.model_free.config import ENDS, SEARCH
 from dropout_uncertainty.data_efficiency.model_free.report import analysis, chapter, figures
-from dropout_uncertainty.data_efficiency.report.analysis import from_arrays, from_records, load
+from dropout_uncertainty.data_efficiency.report.analysis import from_arrays, from_records, load, solved_table
 from dropout_uncertainty.judging.collect import STATEMENTS
 from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.page.plotting import WIDTH
@@ -95,11 +95,11 @@ def test_a_repetition_that_has_ended_keeps_its_last_test_until_the_last_trial(tm
 def test_tables_and_figures_take_learners_of_any_length(folder):
     ddpg = load("ddpg", folder)
     short = from_records("naf", analysis.searched(folder)["naf-search/rate-0.001-noise-0.3"].records)
-    heads, cells = chapter.experience([short, ddpg])
-    assert heads[3:] == [f"solved by {trial}" for trial in chapter.BY]
-    assert cells[0][:3] == ["NAF (5)", "> 400 [100, > 400]", "> 1000 [250, > 1000]"]
-    assert cells[0][-1] is None  # it was not given so many trials
-    assert cells[1][1].startswith("2000 [500")
+    heads, cells = solved_table([short, ddpg], (100, 400, 1000, 2500))
+    assert len(heads) == len(cells[0]) == 8
+    assert cells[0][:3] == ["NAF (5)", None, "> 400 [100, > 400]"]
+    assert cells[0][-3:] == [None] * 3  # neither had it so many trials, nor went on after it was solved for a while
+    assert cells[1][2].startswith("2000 [500")
     figure = figures.unsolved([short, ddpg])
     assert figure.get_figwidth() == WIDTH
     assert [line.get_ydata()[-1] for line in figure.axes[0].lines] == pytest.approx([0.6, 0.2])

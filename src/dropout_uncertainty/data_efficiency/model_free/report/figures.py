@@ -14,7 +14,7 @@ __all__ = ["unsolved", "values"]
 
 
 def values(seconds: np.ndarray, worth: Mapping[str, np.ndarray]) -> Figure:
-    """Draw what standing is worth against the time that has gone, once for each way to treat a trial's end."""
+    """Draw what standing is worth [T] against the time that has gone [T], by the way to treat a trial's end."""
     figure, ax = plt.subplots(figsize=(WIDTH, 2.8))
     for name, (label, value) in zip(("naf", "deep-pilco", "bald"), worth.items(), strict=True):
         ax.plot(seconds, value, color=COLOURS[name], label=label)
