@@ -91,6 +91,8 @@ def test_what_runs_do_not_reach_is_said():
     assert stats.in_words(stats.Interval(1.0, -np.inf, 2.0, 5), unbounded="…") == "1.00 […, 2.00]"
     assert stats.in_digits(-0.0004, "+.3f") == "+0.000"
     assert stats.in_digits(-np.inf, unbounded="…") == "…"
+    assert [stats.in_digits(x, ".2g") for x in (122.5, -1760.0, 99.4, 0.00012)] == ["120", "−1800", "99", "0.00012"]
+    assert stats.in_digits(1760.0, "+.2g") == "+1800"
 
 
 def test_paired_samples_must_pair_up():

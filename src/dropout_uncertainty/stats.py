@@ -59,10 +59,16 @@ class Estimate(NamedTuple):
 
 
 def in_digits(value: float, spec: str = ".2f", unbounded: str = "not reached") -> str:
-    """Return a number by a format, with a minus sign and never a negative 0; ``unbounded`` stands for infinity."""
+    """Return a number by a format, with a minus sign, never a negative 0 and no power of ten for a large one.
+
+    ``unbounded`` stands for infinity.
+    """
     if math.isinf(value):
         return unbounded
-    return f"{value:{spec.replace('.', 'z.', 1)}}".replace("-", "−")
+    digits = f"{value:{spec.replace('.', 'z.', 1)}}"
+    if "e+" in digits:
+        digits = f"{float(digits):{'+' * spec.startswith('+')}.0f}"
+    return digits.replace("-", "−")
 
 
 def in_words(found: Interval | Estimate, spec: str = ".2f", unbounded: str = "not reached") -> str:

@@ -82,7 +82,7 @@ class Toy:
         )
 
 
-#: The theme puts HTML output on a light ground in dark mode; what is drawn in the colour of the text needs none.
+#: Drawn in the colour of the text: book.css takes away the light ground that the theme gives HTML on dark pages.
 STYLE = """
 .toy { margin: 0; max-width: SHOWNpx; }
 .toy[hidden] { display: none; }
@@ -99,9 +99,6 @@ STYLE = """
 .toy button { padding: 0.15em 0.6em; border: 1px solid; border-radius: 0.25em; background: none; color: inherit;
   font: inherit; cursor: pointer; }
 .toy figcaption { margin-top: 0.3em; color: inherit; text-align: left; font-variant-numeric: tabular-nums; }
-html[data-theme=dark] .bd-content div.cell_output .text_html:has(figure.toy) {
-  background: none; color: var(--pst-color-text-base);
-}
 @media print { .toy { display: none; } }
 """.replace("SHOWN", str(SHOWN))
 

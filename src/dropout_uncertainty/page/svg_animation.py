@@ -87,7 +87,7 @@ class Player:
         )
 
 
-#: The theme puts HTML output on a light ground in dark mode; shapes in the colour of the text need none.
+#: Drawn in the colour of the text: book.css takes away the light ground that the theme gives HTML on dark pages.
 STYLE = """
 .player { margin: 0; max-width: SHOWNpx; }
 .player svg { display: block; width: 100%; height: auto; }
@@ -103,9 +103,6 @@ STYLE = """
   font-variant-numeric: tabular-nums; }
 .player .end { display: none; break-inside: avoid; }
 @media print { .player .end { display: block; } .player .controls { display: none; } }
-html[data-theme=dark] .bd-content div.cell_output .text_html:has(figure.player) {
-  background: none; color: var(--pst-color-text-base);
-}
 """.replace("SHOWN", str(SHOWN))
 
 TEMPLATE = """<figure class="player">
