@@ -1,5 +1,7 @@
 """Every page of the built book, as a reader's browser shows it."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import pytest
@@ -48,9 +50,16 @@ class Visit:
 
 
 @pytest.fixture(scope="module")
-def visits(browser, site):
-    """Return what was seen on each page; each is opened once, since opening takes longest."""
-    return {name: visit(browser, site, name) for name in built_pages()}
+def visits(site):
+    """Return what was seen on each page; each is opened once, since opening takes longest, by a browser per core."""
+    names, browsers = built_pages(), os.cpu_count() or 1
+
+    def some(first):
+        with chromium() as browser:
+            return {name: visit(browser, site, name) for name in names[first::browsers]}
+
+    with ThreadPoolExecutor(browsers) as pool:
+        return {name: seen for part in pool.map(some, range(browsers)) for name, seen in part.items()}
 
 
 def visit(browser, site, name):

@@ -96,6 +96,11 @@ class Still:
     def fit(self, seen, changes, *path, how):
         raise NotImplementedError
 
+    def select(self, replicas):
+        raise NotImplementedError
+
+    state = restore = select
+
     def draw(self, count, steps, *path):
         return None
 

@@ -234,9 +234,11 @@ class DeepPilcoLearning(Learner):
         config, trial = self.config, self.done
         attempts = config.redraws if config.guard < 1 else 0
         fresh = [self._draw_policy(trial, attempt) for attempt in range(1, attempts + 1)]
-        best, redraws = planning.guarded(
-            model, config.plant, self.shape, config, self.policy, fresh, config.guard, trial
-        )
+
+        def search(rows: Sequence[int], start: Tensor, attempt: int) -> planning.Improved:
+            return planning.improve(model.select(rows), config.plant, self.shape, config, start, trial, attempt)
+
+        best, redraws = planning.guarded(search, self.policy, fresh, config.guard)
         self.policy = best.parameters
         self.counts["policy_repairs"][:, trial] = best.repairs
         self.counts["policy_redrawn"][:, trial] = redraws

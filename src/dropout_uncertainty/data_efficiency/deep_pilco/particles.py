@@ -89,9 +89,13 @@ def act(
     """Return the features of a state (without ``angle_features``: the state) and the policy's force on it [N]."""
     theta = state[..., 3:]
     seen = torch.cat((state[..., :3], theta.sin(), theta.cos()), -1)
-    squares = torch.cat((seen, seen * seen, torch.ones_like(theta)), -1)
-    force = squash((squares @ matrix).exp() @ weights, limit)
-    return torch.cat((seen if angle_features else state, force), -1)
+    return torch.cat((seen if angle_features else state, force(seen, matrix, weights, limit)), -1)
+
+
+def force(seen: Float[Tensor, "R K D"], matrix: Tensor, weights: Tensor, limit: float) -> Float[Tensor, "R K 1"]:
+    """Return the force [N] of a policy that was multiplied out on what it sees."""
+    squares = torch.cat((seen, seen * seen, torch.ones_like(seen[..., :1])), -1)
+    return squash((squares @ matrix).exp() @ weights, limit)
 
 
 def match(

@@ -6,7 +6,7 @@ trial's expected cost is their mean cost (`objective`), which Adam or BFGS lower
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -210,24 +210,42 @@ def improve(
     """Return policies of lower predicted cost, starting from ``parameters``; the path names the random streams."""
     if plan.optimiser == "bfgs":
         return _improve_fixed(model, plant, shape, plan, parameters, *path)
-    current = parameters.detach().to(model.log_noise).clone().requires_grad_()
-    adam = torch.optim.Adam([current], lr=plan.policy_rate, fused=True)
-    least = plan.policy_rate * plan.policy_final_rate
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, plan.policy_steps, eta_min=least)
-    late = torch.zeros_like(parameters[:, 0]).to(current)
-    repairs, tail = torch.zeros_like(late).long(), max(1, plan.policy_steps // 10)
     draws = _stream(model, plant, plan, *path)
-    for step in range(plan.policy_steps):
-        value, gradient = objective(plant, shape, plan, current, next(draws))
+    return descend(
+        lambda current: objective(plant, shape, plan, current, next(draws)), parameters.to(model.log_noise),
+        steps=plan.policy_steps, rate=plan.policy_rate, final_rate=plan.policy_final_rate, clip=plan.clip,
+    )  # fmt: skip
+
+
+def descend(
+    evaluate: Callable[[Tensor], tuple[Tensor, Tensor]],
+    parameters: Float[Tensor, "R P"],
+    *,
+    steps: int,
+    rate: float,
+    final_rate: float,
+    clip: float,
+) -> Improved:
+    """Return policies after steps of Adam, from values [R] and gradients [R, P] that are drawn anew at each.
+
+    ``rate`` falls along a cosine to ``final_rate`` of it; a gradient longer than ``clip``, if that is not 0, is cut.
+    """
+    current = parameters.detach().clone().requires_grad_()
+    adam = torch.optim.Adam([current], lr=rate, fused=True)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps, eta_min=rate * final_rate)
+    late = torch.zeros_like(parameters[:, 0])
+    repairs, tail = torch.zeros_like(late).long(), max(1, steps // 10)
+    for step in range(steps):
+        value, gradient = evaluate(current)
         bad = ~(gradient.isfinite().all(1) & value.isfinite())
         repairs += bad
         gradient = gradient.masked_fill(bad[:, None], 0.0)
-        if plan.clip:
-            gradient = gradient * (plan.clip / gradient.norm(dim=1, keepdim=True).clamp_min(plan.clip))
+        if clip:
+            gradient = gradient * (clip / gradient.norm(dim=1, keepdim=True).clamp_min(clip))
         current.grad = gradient
         adam.step()
         schedule.step()
-        if step >= plan.policy_steps - tail:
+        if step >= steps - tail:
             late += value / tail
     return Improved(current.detach(), late, repairs)
 
@@ -254,26 +272,24 @@ def _improve_fixed(
 
 
 def guarded(
-    model: Dynamics,
-    plant: CartPole,
-    shape: Shape,
-    plan: Planning,
+    search: Callable[[Sequence[int], Tensor, int], Improved],
     parameters: Float[Tensor, "R P"],
     fresh: Sequence[Float[Tensor, "R P"]],
     above: float,
-    *path: str | int,
 ) -> tuple[Improved, Int[Tensor, " R"]]:
     """Improve; where the predicted cost stays ``above`` or is NaN, try from each of the ``fresh`` policies in turn.
 
-    The better policy is kept. No real trial is used. Returns the policies and how many redraws each had.
+    ``search`` improves the policies of some replicas, given their numbers, the parameters to begin from, and the number
+    of the attempt. The better policy is kept. No real trial is used. Returns the policies and how many redraws each
+    had.
     """
-    best = improve(model, plant, shape, plan, parameters, *path, 0)
+    best = search(range(len(parameters)), parameters, 0)
     redraws = torch.zeros_like(best.repairs)
     for attempt, start in enumerate(fresh, 1):
         rows = (~(best.value <= above)).nonzero()[:, 0].tolist()
         if not rows:
             break
-        again = improve(model.select(rows), plant, shape, plan, start[rows], *path, attempt)
+        again = search(rows, start[rows], attempt)
         better = ~(again.value >= best.value[rows])
         chosen = [row for row, yes in zip(rows, better.tolist(), strict=True) if yes]
         best.parameters[chosen], best.value[chosen] = again.parameters[better], again.value[better]

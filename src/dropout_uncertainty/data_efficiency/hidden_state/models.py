@@ -6,6 +6,7 @@ are given x [m], sin θ, cos θ and the force [N], and predict the differences o
 Gaussian noise of learned size. Replicas R first, then sequences N or particles K.
 """
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -19,16 +20,21 @@ from dropout_uncertainty.bayes import Masks, weight_decay
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import (
     LOG_NOISE_RANGE,
     LOG_NOISE_START,
+    SCALING,
     DropoutDynamics,
     scaling,
     without_gradient,
 )
 from dropout_uncertainty.data_efficiency.hidden_state.lstm import LSTM
+from dropout_uncertainty.settings import tidy
 
-__all__ = ["INPUTS", "OUTPUTS", "Fit", "Model", "Recurrent", "Windowed", "free_run", "windows"]
+__all__ = ["INPUTS", "OUTPUTS", "SEEN", "Fit", "Model", "ModelConfig", "Recurrent", "Windowed", "free_run", "windows"]
 
 #: What a network is given of a step (x, sin θ, cos θ, force), and what it predicts (differences of x and θ).
 INPUTS, OUTPUTS = 4, 2
+#: Places of x and θ in a state.
+SEEN = (0, 3)
+KINDS = ("feed-forward", "recurrent")
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,15 @@ class Model(Protocol):
 
     def noise_std(self) -> Float[Tensor, "R E"]:
         """Return the learned standard deviation of the noise, in SI units."""
+
+    def select(self, replicas: Sequence[int]) -> "Model":
+        """Return a copy with some of the replicas."""
+
+    def state(self) -> dict[str, Tensor]:
+        """Return a copy of all that a fit changes."""
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Continue from `state()` of a model made with the same arguments."""
 
 
 def inputs_of(observed: Float[Tensor, "*batch 2"], forces: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 4"]:
@@ -105,6 +120,20 @@ class Windowed:
     def noise_std(self) -> Float[Tensor, "R E"]:
         """Return the learned standard deviation of the noise, in SI units."""
         return self.networks.noise_std()
+
+    def select(self, replicas: Sequence[int]) -> "Windowed":
+        """Return a copy with some of the replicas."""
+        part = copy.copy(self)
+        part.networks = self.networks.select(replicas)
+        return part
+
+    def state(self) -> dict[str, Tensor]:
+        """Return a copy of all that a fit changes."""
+        return self.networks.state()
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Continue from `state()` of a model made with the same arguments."""
+        self.networks.restore(state)
 
 
 class Recurrent:
@@ -175,7 +204,6 @@ class Recurrent:
         """Return a draw per sequence, or per sequence and step."""
         return self.net.draw(count, *path, steps=None if self.held else steps)
 
-    @torch.no_grad()
     def step(self, seen: Float[Tensor, "R K D"], memory: Any, draw: Any, t: int) -> tuple[Tensor, Any]:
         """Return the predicted change and the state of the layer."""
         x = (seen - self.input_mean) / self.input_std
@@ -186,7 +214,79 @@ class Recurrent:
         """Return the learned standard deviation of the noise, in SI units."""
         return (self.log_noise.clamp(*LOG_NOISE_RANGE).exp() * self.target_std)[:, 0].detach()
 
+    def select(self, replicas: Sequence[int]) -> "Recurrent":
+        """Return a copy with some of the replicas."""
+        rows = list(replicas)
+        seeds = [self.net.seeds[row] for row in rows]
+        part = Recurrent(seeds, self.net.sizes[1], self.net.drop, self.held, self.net.bias.dtype)
+        part.restore({name: value[rows] for name, value in self.state().items()})
+        return part
 
+    def state(self) -> dict[str, Tensor]:
+        """Return a copy of all that a fit changes."""
+        trained = {**dict(self.net.named_parameters()), "log_noise": self.log_noise}
+        return {n: p.detach().clone() for n, p in trained.items()} | {n: getattr(self, n).clone() for n in SCALING}
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Continue from `state()` of a model made with the same arguments."""
+        with torch.no_grad():
+            for name, parameter in [*self.net.named_parameters(), ("log_noise", self.log_noise)]:
+                parameter.copy_(state[name])
+        for name in SCALING:
+            setattr(self, name, state[name])
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """A model and how it is trained."""
+
+    kind: str
+    """"feed-forward" or "recurrent"."""
+    window: int = 1
+    """Observations that a feed-forward network is given."""
+    hidden: tuple[int, ...] = (200, 200)
+    """Widths of the layers; of the recurrent network one."""
+    drop: float = 0.05
+    """Drop probability of the hidden units, in a recurrent network of the state and before the output."""
+    input_drop: float = 0.0
+    """Drop probability of the inputs."""
+    held: bool = True
+    """Whether a particle keeps its masks over the sequence; feed-forward ones always do."""
+    steps: int = 600
+    """Adam steps of a fit."""
+    rate: float = 0.002
+    """Their size at first."""
+    final_rate: float = 0.1
+    """Their size at the end, as a share of that at first."""
+    batch: int = 100
+    """Transitions of a step, rounded to whole trials for a recurrent network."""
+    length_scale: float = 0.1**0.5
+    """Of the prior over the weights."""
+
+    def __post_init__(self) -> None:
+        tidy(self)
+        if self.kind not in KINDS or not self.hidden or (self.kind == "recurrent" and len(self.hidden) != 1):
+            raise ValueError(
+                f"expected one layer of a recurrent network, or some of a feed-forward one, got {self.hidden} of "
+                f"{self.kind!r}; choose one of {', '.join(KINDS)}"
+            )
+        if min(*self.hidden, self.window, self.steps, self.batch) < 1:
+            raise ValueError(f"expected widths, windows and numbers of steps of 1 or more, got {self}")
+
+    def model(self, seeds: Sequence[int], dtype: torch.dtype = torch.float32) -> Model:
+        """Return new networks."""
+        if self.kind == "recurrent":
+            return Recurrent(seeds, self.hidden[0], (self.input_drop, self.drop, self.drop), self.held, dtype)
+        options = {"hidden": self.hidden, "drop": self.drop, "input_drop": self.input_drop, "dtype": dtype}
+        return Windowed(seeds, self.window, **options)
+
+    def fit(self, steps: int) -> Fit:
+        """Return how it is trained on trials of so many steps."""
+        batch = max(1, self.batch // steps) if self.kind == "recurrent" else self.batch
+        return Fit(self.steps, self.rate, self.final_rate, batch, self.length_scale)
+
+
+@torch.no_grad()
 def free_run(
     model: Model,
     first: Float[Tensor, "R N 2"],

@@ -15,51 +15,26 @@ from jaxtyping import Float
 from torch import Tensor
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.data_efficiency.hidden_state.models import Fit, Model, Recurrent, Windowed, free_run, inputs_of
+from dropout_uncertainty.data_efficiency.hidden_state.models import SEEN, ModelConfig, free_run, inputs_of
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import only_cpu, precision_dtype
-from dropout_uncertainty.settings import of_type, tidy
+from dropout_uncertainty.settings import of_type
 
 __all__ = ["CONFIGS", "FAMILY", "Prediction", "PredictionConfig", "stored_trials"]
 
 FAMILY = "hidden"
-#: Places of x and θ in a state.
-SEEN = (0, 3)
-KINDS = ("feed-forward", "recurrent")
 #: Stored repetitions; development seeds, from 100 on, take other trials than published ones.
 STORED = 40
 
 
 @dataclass(frozen=True)
-class PredictionConfig:
+class PredictionConfig(ModelConfig):
     """A model and what it has to predict."""
 
-    kind: str
-    """"feed-forward" or "recurrent"."""
-    window: int = 1
-    """Observations that a feed-forward network is given."""
-    hidden: tuple[int, ...] = (200, 200)
-    """Widths of the layers; of the recurrent network one."""
-    drop: float = 0.05
-    """Drop probability of the hidden units, in a recurrent network of the state and before the output."""
-    input_drop: float = 0.0
-    """Drop probability of the inputs."""
-    held: bool = True
-    """Whether a particle keeps its masks over the sequence; feed-forward ones always do."""
-    steps: int = 600
-    """Adam steps of a fit."""
-    rate: float = 0.002
-    """Their size at first."""
-    final_rate: float = 0.1
-    """Their size at the end, as a share of that at first."""
-    batch: int = 100
-    """Transitions of a step, rounded to whole trials for a recurrent network."""
-    length_scale: float = 0.1**0.5
-    """Of the prior over the weights."""
     source: str = "deep-pilco-ours"
     """Config whose stored trials are data."""
     sizes: tuple[int, ...] = (5, 10, 20)
@@ -72,26 +47,9 @@ class PredictionConfig:
     """Standard deviation of the noise on x [m] and θ [rad]."""
 
     def __post_init__(self) -> None:
-        tidy(self)
-        if self.kind not in KINDS or not self.hidden or (self.kind == "recurrent" and len(self.hidden) != 1):
-            raise ValueError(
-                f"expected one layer of a recurrent network, or some of a feed-forward one, got {self.hidden} of "
-                f"{self.kind!r}; choose one of {', '.join(KINDS)}"
-            )
-        if min(*self.hidden, *self.sizes, self.window, self.ahead, self.steps, self.batch) < 1 or self.particles < 2:
-            raise ValueError(f"expected widths, sizes and numbers of steps of 1 or more, and two particles, got {self}")
-
-    def model(self, seeds: Sequence[int], dtype: torch.dtype = torch.float32) -> Model:
-        """Return new networks."""
-        if self.kind == "recurrent":
-            return Recurrent(seeds, self.hidden[0], (self.input_drop, self.drop, self.drop), self.held, dtype)
-        options = {"hidden": self.hidden, "drop": self.drop, "input_drop": self.input_drop, "dtype": dtype}
-        return Windowed(seeds, self.window, **options)
-
-    def fit(self, steps: int) -> Fit:
-        """Return how it is trained on trials of so many steps."""
-        batch = max(1, self.batch // steps) if self.kind == "recurrent" else self.batch
-        return Fit(self.steps, self.rate, self.final_rate, batch, self.length_scale)
+        super().__post_init__()
+        if min(*self.sizes, self.ahead) < 1 or self.particles < 2:
+            raise ValueError(f"expected a trial or more of data and to predict, and two particles, got {self}")
 
 
 def stored_trials(name: str, seeds: Sequence[int]) -> tuple[Float[Tensor, "R N times 2"], Float[Tensor, "R N T"]]:

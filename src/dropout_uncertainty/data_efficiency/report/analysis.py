@@ -4,7 +4,7 @@ PILCO's and Deep PILCO's records keep costs and predictions under the same names
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +54,8 @@ NAMES: dict[str, str] = {
 }
 #: Trials at which curves are read off: those that thesis text and captions name, and round ones.
 TRIALS = (1, 5, 7, 10, 15, 20, 25, 26, 40, 100, 400, 1000, 2500)
+#: Arrays [R, trial, ...] that a part of a run keeps, as far as there are any.
+CUT = ("costs", "predicted_cost", "states", "predicted_mean", "predicted_std", "predicted_variance")
 #: A repetition keeps its solution if at least this share of the trials after the first solved one are solved.
 KEPT = 0.8
 #: What computing time is shown of, as the records call it and in words.
@@ -174,6 +176,12 @@ class Learning:
     def trials_to_solve(self) -> Interval:
         """Trial by which at least half of the repetitions are solved; inf if they are not."""
         return median_interval(self.first_solved)
+
+    def part(self, places: Sequence[int], trials: int) -> "Learning":
+        """Return some of the repetitions up to a trial, with their costs, states and predictions."""
+        arrays = {name: self.arrays[name][places, : trials + 1] for name in CUT if name in self.arrays}
+        seeds = tuple(self.seeds[place] for place in places)
+        return replace(self, costs=self.costs[places, : trials + 1], seeds=seeds, arrays=arrays)
 
     def solved_by(self, trial: int) -> Interval:
         """Share of the repetitions solved by a trial, with its Wilson interval."""

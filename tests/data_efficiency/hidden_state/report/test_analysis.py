@@ -10,7 +10,8 @@ import matplotlib.pyplot as plt
 from dropout_uncertainty import stats
 from dropout_uncertainty.data_efficiency.configs import CONFIGS
 from dropout_uncertainty.data_efficiency.hidden_state.report import analysis, chapter, figures
-from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import LANGUAGES, MODELS
+from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import CONTROL, LANGUAGES, MODELS, SEEN
+from dropout_uncertainty.data_efficiency.report import analysis as of_section
 from dropout_uncertainty.judging.collect import STATEMENTS
 from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.runs import records
@@ -23,7 +24,8 @@ def write(folder, name, arrays):
     plain, runs = config_dict(CONFIGS[name]), len(next(iter(arrays.values())))
     header = {
         "experiment": "data_efficiency", "name": name, "seeds": list(range(runs)), "config": plain,
-        "config_hash": config_hash(plain), "device": "cpu", "precision": "float32", "provenance": {"cpu_s": 50.0},
+        "config_hash": config_hash(plain), "device": "cpu", "precision": "float32",
+        "provenance": {"cpu_s": 50.0} | {f"{part}_cpu_s": [10.0] * 26 for part in ("model", "policy", "trial")},
     }  # fmt: skip
     arrays = {key: value.astype(np.float32) for key, value in arrays.items()}
     records.write(folder / "data_efficiency" / name / f"000-{runs - 1:03d}.npz", arrays, header)
@@ -45,9 +47,16 @@ def read(folder, masks, end):
     write(folder, f"hidden/language-{masks}", {"train": way - 0.5, "test": test})
 
 
+def learned(folder, name, cost, runs):
+    """Write trials of which each costs the same, a little more with each seed; half of that is what was predicted."""
+    shape = runs, 26, 25
+    costs = cost + 0.001 * np.arange(runs)[:, None, None] + np.zeros(shape)
+    write(folder, name, {"costs": costs, "predicted_cost": costs / 2})
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return records in which the LSTM with held masks is twice as sharp as one observation and as four."""
+    """Return records in which the LSTM with held masks is twice as sharp as one observation and as four, and learns."""
     folder = tmp_path_factory.mktemp("hidden")
     predicted(folder, "last-one", 0.2)
     predicted(folder, "last-four", 0.1)
@@ -55,6 +64,9 @@ def folder(tmp_path_factory):
     predicted(folder, "lstm-fresh", 0.05, off=3.0)
     read(folder, "held", 2.0)
     read(folder, "fresh", 2.3)
+    learned(folder, "hidden/control-last-one", 0.9, 10)
+    learned(folder, "hidden/control-lstm-held", 0.1, 10)
+    learned(folder, "deep-pilco-ours", 0.05, 20)
     return folder
 
 
@@ -63,8 +75,8 @@ def verdict(folder, name):
 
 
 def test_every_config_is_shown():
-    shown = [*MODELS, *(f"language-{masks}" for masks in LANGUAGES)]
-    assert {f"hidden/{name}" for name in shown} == {name for name in CONFIGS if name.startswith("hidden/")}
+    shown = {f"hidden/{name}" for name in (*MODELS, *(f"language-{masks}" for masks in LANGUAGES))}
+    assert shown | {*CONTROL.values()} - {"deep-pilco-ours"} == {*chapter.CONFIGS}
 
 
 def test_the_log_density_is_that_of_a_gaussian(folder):
@@ -80,6 +92,8 @@ def test_verdicts(folder):
     assert verdict(folder, "DE13b") == "no difference"
     assert verdict(folder, "DE13c") == "supported"  # a sharper prediction that is wrong is worse
     assert verdict(folder, "DE13d") == "untested"
+    assert verdict(folder, "DE13e") == "supported"
+    assert verdict(folder, "DE13f") == "untested"
     assert verdict(folder, "DE16a") == "supported"
     assert verdict(folder, "DE16b") == "untested"
 
@@ -91,6 +105,11 @@ def test_numbers_have_their_names(folder):
     assert found["hidden/last-one/coverage"].ours == 1
     assert found["hidden/language-fresh/lost"].ours == pytest.approx(0.1, abs=0.01)
     assert "hidden/lstm-no-dropout/log-density" not in found
+    assert found["hidden/lstm-held/trials-to-solve"].ours == 1
+    assert found["hidden/lstm-held/trials-to-solve"].seeds == list(range(10))
+    assert found["hidden/last-one/solved-by-25"].ours == 0
+    assert found["hidden/last-one/cost/difference"].ours == pytest.approx(0.85, abs=1e-3)
+    assert found["hidden/last-one/promise"].ours == pytest.approx(0.45, abs=0.01)
 
 
 def test_pairs_share_their_seeds(folder):
@@ -98,18 +117,27 @@ def test_pairs_share_their_seeds(folder):
     assert np.allclose(stats.apart(lambda run: run.score, held, one), np.log(2), atol=1e-4)
 
 
+def runs_of(folder):
+    return chapter.Runs.of(lambda name: analysis.load(name, folder), lambda name: of_section.load(name, folder))
+
+
 def test_what_is_missing_is_one_line_and_what_is_there_is_drawn(folder):
-    found = chapter.Runs.of(lambda name: analysis.load(name, folder))
-    assert found.missing.markdown == "*Not run yet: `hidden/lstm-no-dropout`, `hidden/language-none`.*"
+    found = runs_of(folder)
+    missing = ("lstm-no-dropout", "control-last-four", "language-none")
+    assert found.missing.markdown == f"*Not run yet: {', '.join(f'`hidden/{name}`' for name in missing)}.*"
     for draw, of in ((figures.readings, found.languages), (figures.scores, found.models), (figures.trial, found.models),
-                     (figures.over_time, found.models)):  # fmt: skip
+                     (figures.over_time, found.models), (figures.learning, found.learners)):  # fmt: skip
         assert isinstance(draw(of), plt.Figure)
-        assert draw([]) is None
+        assert draw(type(of)()) is None
     plt.close("all")
     assert "than the **last observation** it predicts better: 0.69 [0.69, 0.69] nats" in chapter.answers(found).markdown
     assert chapter.over_fitting(found).markdown.count("nats a character") == 2
     assert [row[1] for row in chapter.models_table(found)[1]] == [20] * 4
-    assert chapter.answers(chapter.Runs([], [])).markdown == ""
+    assert [row[:2] for row in chapter.learners_table(found)[1]] == [
+        ["last observation", 10], ["LSTM, held masks", 10], [SEEN, 10],
+    ]  # fmt: skip
+    assert len(found.records) == 9
+    assert chapter.answers(chapter.Runs([], [], {})).markdown == ""
 
 
 def test_what_the_page_says_of_the_stored_runs():

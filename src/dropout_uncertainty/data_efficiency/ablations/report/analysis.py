@@ -32,8 +32,6 @@ __all__ = [
 
 #: The published record of `OURS`; its first trials are those of the variants' baseline.
 BASELINE = "deep-pilco-ours"
-#: Arrays [R, trial, ...] that comparisons keep, as far as there are any.
-CUT = ("costs", "predicted_cost", "states", "predicted_mean", "predicted_std", "predicted_variance")
 #: The share of a normal distribution within two standard deviations.
 NOMINAL = math.erf(2**0.5)
 
@@ -109,13 +107,7 @@ def pair(name: str, first: Learning, second: Learning, most: int = TRIALS) -> Co
     if not one:
         return None
     trials = min(first.trials, second.trials, most)
-    return Comparison(name, _cut(first, one, trials), _cut(second, two, trials))
-
-
-def _cut(learning: Learning, places: Sequence[int], trials: int) -> Learning:
-    arrays = {name: learning.arrays[name][places, : trials + 1] for name in CUT if name in learning.arrays}
-    seeds = tuple(learning.seeds[place] for place in places)
-    return replace(learning, costs=learning.costs[places, : trials + 1], seeds=seeds, arrays=arrays)
+    return Comparison(name, first.part(one, trials), second.part(two, trials))
 
 
 def comparisons(folder: Path | None = None) -> list[Comparison]:

@@ -1,25 +1,29 @@
-"""Where the state is hidden, from records: how well each model predicts, and how the language models over-fit.
+"""Where the state is hidden, from records: how models predict, what is learned with them, how language models over-fit.
 
 Nothing is run and nothing is drawn here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from dropout_uncertainty.data_efficiency.hidden_state import language, prediction
+from dropout_uncertainty.data_efficiency.hidden_state import control, language, prediction
 from dropout_uncertainty.data_efficiency.hidden_state.prediction import FAMILY
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT
+from dropout_uncertainty.data_efficiency.report import analysis
+from dropout_uncertainty.data_efficiency.report.analysis import Learning
+from dropout_uncertainty.data_efficiency.report.statements import cost_of_learning
 from dropout_uncertainty.judging.results import Result, listed
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
-from dropout_uncertainty.stats import t_interval
+from dropout_uncertainty.stats import common, paired_difference, t_interval
 
-__all__ = ["LANGUAGES", "MODELS", "Reading", "Run", "load", "reading", "results"]
+__all__ = ["CONTROL", "LANGUAGES", "MODELS", "SEEN", "Reading", "Run", "learners", "load", "reading", "results"]
 
 #: Models in words, by their configs.
 MODELS = {
@@ -29,6 +33,9 @@ MODELS = {
     "lstm-fresh": "LSTM, fresh masks",
     "lstm-no-dropout": "LSTM, no dropout",
 }
+#: The models of these that a policy is improved on, and the learner that sees the whole state, by config.
+CONTROL = {name.removeprefix(f"{FAMILY}/control-"): name for name in control.CONFIGS} | {"seen": "deep-pilco-ours"}
+SEEN = "the whole state, Deep PILCO's own network"
 #: Language models in words, by their configs.
 LANGUAGES = {"none": "no dropout", "fresh": "fresh masks", "held": "held masks"}
 
@@ -125,6 +132,15 @@ def reading(masks: str, run: Run | None) -> Reading | None:
     return Reading(masks, run.seeds, run.arrays["train"], run.arrays["test"], run.records) if run else None
 
 
+def learners(find: Callable[[str], Learning | None]) -> dict[str, Learning]:
+    """Return the learners of ``CONTROL`` that are found, with the seeds and trials that all of them have."""
+    found = {name: learning for name, config in CONTROL.items() if (learning := find(config))}
+    if found.keys() <= {"seen"}:
+        return {}
+    trials, places = min(x.trials for x in found.values()), common(*(x.seeds for x in found.values()))
+    return {name: x.part(own, trials) for (name, x), own in zip(found.items(), places, strict=True) if own}
+
+
 def results(folder: Path | None = None) -> list[Result]:
     """Return the numbers of this page, with ids as in ``python -m dropout_uncertainty results``."""
     found = []
@@ -140,7 +156,26 @@ def results(folder: Path | None = None) -> list[Result]:
             )
             name = f"{FAMILY}/language-{masks}"
             found += listed(name, rows, read.records, name)
+    there = learners(partial(analysis.load, folder=folder))
+    for name, learning in there.items():
+        if name != "seen":
+            found += _of_control(name, learning, there.get("seen"))
     return found
+
+
+def _of_control(name: str, learning: Learning, seen: Learning | None) -> list[Result]:
+    last, cost = learning.trials, cost_of_learning(learning)
+    rows = [
+        ("trials-to-solve", learning.trials_to_solve, "trials", "first trial by which at least half were solved"),
+        (f"solved-by-{last}", learning.solved_by(last), "share", f"repetitions solved by trial {last}"),
+        ("kept", learning.kept, "share", "solved repetitions that keep their solution"),
+        ("cost", t_interval(cost), "cost per step", "mean over trials"),
+        ("promise", t_interval(learning.broken_promise), "cost per step", "realised less predicted, mean over trials"),
+    ]
+    if seen:
+        apart_from = paired_difference(cost, cost_of_learning(seen))
+        rows.append(("cost/difference", apart_from, "cost per step", f"that, less {seen.config}'s"))
+    return listed(f"{FAMILY}/{name}", rows, learning.records, learning.config)
 
 
 def _of_prediction(run: Run) -> list[Result]:

@@ -1,19 +1,27 @@
 """What the notebook on hidden states asks for in one call: the runs of a profile, and their sentences."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from dropout_uncertainty.data_efficiency import configs
+from dropout_uncertainty.data_efficiency.hidden_state.control import ControlConfig
 from dropout_uncertainty.data_efficiency.hidden_state.prediction import FAMILY
-from dropout_uncertainty.data_efficiency.hidden_state.report import analysis
 from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import (
     LANGUAGES,
     MODELS,
+    SEEN,
     Reading,
     Run,
+    learners,
+    load,
     reading,
 )
+from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
+from dropout_uncertainty.data_efficiency.report.analysis import Learning
+from dropout_uncertainty.data_efficiency.report.statements import cost_of_learning
 from dropout_uncertainty.page.profiles import complete
 from dropout_uncertainty.page.tables import Words
 from dropout_uncertainty.runs.process import finished
@@ -21,11 +29,14 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.settings import config_dict
 from dropout_uncertainty.stats import apart, in_words, t_interval, told
 
-__all__ = ["Runs", "answers", "models_table", "over_fitting", "runs"]
+__all__ = ["Runs", "answers", "learners_table", "models_table", "over_fitting", "runs"]
 
 SEEDS = (100, 101)
+#: Configs of this page.
+CONFIGS = [name for name in configs.CONFIGS if name.startswith(f"{FAMILY}/")]
 #: What is smaller in live runs.
 TINY: dict[str, Any] = {"sizes": (5, 10), "steps": 150, "particles": 20}
+TINY_CONTROL: dict[str, Any] = {"trials": 2, "particles": 10, "policy_steps": 10}
 TINY_TEXT: dict[str, Any] = {"train": 5_000, "test": 2_500, "width": 32, "passes": 6}
 
 
@@ -35,40 +46,56 @@ class Runs:
 
     models: Sequence[Run]
     languages: Sequence[Reading]
+    learners: Mapping[str, Learning]
 
     @classmethod
-    def of(cls, find: Callable[[str], Run | None]) -> "Runs":
+    def of(cls, find: Callable[[str], Run | None], learned: Callable[[str], Learning | None]) -> "Runs":
         """Return what is found by the names of configs."""
-        languages = (reading(masks, find(f"language-{masks}")) for masks in LANGUAGES)
-        return cls([run for name in MODELS if (run := find(name))], [run for run in languages if run])
+        read = (reading(masks, find(f"language-{masks}")) for masks in LANGUAGES)
+        languages = [language for language in read if language]
+        return cls([run for name in MODELS if (run := find(name))], languages, learners(learned))
 
     @property
     def records(self) -> list[Record]:
         """The records of all this."""
-        found = [run.records for run in self.models] + [run.records for run in self.languages]
-        return [record for records in found for record in records]
+        of = [run.records for run in self.models] + [run.records for run in self.languages]
+        return [r for records in (*of, *(x.records for x in self.learners.values())) for r in records]
 
     @property
     def missing(self) -> Words:
         """Return in a line what has not been run; nothing where all has."""
-        have = {run.name for run in self.models} | {f"language-{run.name}" for run in self.languages}
-        wanted = [*MODELS, *(f"language-{masks}" for masks in LANGUAGES)]
-        names = ", ".join(f"`{FAMILY}/{name}`" for name in wanted if name not in have)
+        have = {f"{FAMILY}/{run.name}" for run in self.models}
+        have |= {f"{FAMILY}/language-{run.name}" for run in self.languages}
+        have |= {learning.config for learning in self.learners.values()}
+        names = ", ".join(f"`{name}`" for name in CONFIGS if name not in have)
         return Words(f"*Not run yet: {names}.*" if names else "")
 
 
 def runs(profile: str) -> Runs:
     """Return the stored runs; in ``quick`` live ones, too short to tell anything, on stored trials."""
-    names = [name for name in configs.CONFIGS if name.startswith(f"{FAMILY}/")]
-    complete(profile, [unit for name in names for unit in configs.units(name)])
-    return Runs.of(_live if profile == "quick" else analysis.load)
+    complete(profile, [unit for name in CONFIGS for unit in configs.units(name)])
+    if profile == "quick":
+        return Runs.of(_live, _live_learning)
+    return Runs.of(load, data_efficiency.load)
 
 
 def _live(name: str) -> Run:
     full = f"{FAMILY}/{name}"
     config = replace(configs.CONFIGS[full], **(TINY if name in MODELS else TINY_TEXT))
-    (unit,) = configs.units(full, SEEDS)
-    return Run(name, SEEDS, config_dict(config), finished(unit.start(config, SEEDS)).result())
+    return Run(name, SEEDS, config_dict(config), _finished(full, config))
+
+
+def _live_learning(name: str) -> Learning | None:
+    config = configs.CONFIGS[name]
+    if isinstance(config, ControlConfig):
+        config = replace(config, model=replace(config.model, steps=TINY["steps"]), **TINY_CONTROL)
+    else:
+        config = replace(config, model_steps=TINY["steps"], **TINY_CONTROL)
+    return data_efficiency.from_arrays(name, config.plant, _finished(name, config), SEEDS)
+
+
+def _finished(name: str, config: Any) -> dict[str, np.ndarray]:
+    return finished(configs.units(name, SEEDS)[0].start(config, SEEDS)).result()
 
 
 def models_table(found: Runs) -> tuple[list[str], list[list[object]]]:
@@ -81,6 +108,21 @@ def models_table(found: Runs) -> tuple[list[str], list[list[object]]]:
         ]
         for run in found.models
     ]  # fmt: skip
+
+
+def learners_table(found: Runs) -> tuple[list[str], list[list[object]]]:
+    """Return heads and cells: what learning costs with each model, how soon it solves, what it promises and takes."""
+    heads = ["model", "repetitions", "cost per step", "trials to solve", "solved", "promise broken by", "CPU seconds"]
+
+    def row(name: str, x: Learning) -> list[object]:
+        spent = [data_efficiency.cpu_seconds(r, x.trials) / len(r.seeds) / x.trials for r in x.records]
+        return [
+            MODELS.get(name, SEEN), len(x.seeds), in_words(t_interval(cost_of_learning(x))),
+            in_words(x.trials_to_solve, ".0f"), in_words(x.solved_by(x.trials), ".0%"),
+            in_words(t_interval(x.broken_promise)), f"{np.mean(spent):.1f}" if spent else "",
+        ]  # fmt: skip
+
+    return heads, [row(name, learning) for name, learning in found.learners.items()]
 
 
 def answers(found: Runs) -> Words:

@@ -1,17 +1,18 @@
 """Figures of the page on hidden states: numbers in, a figure out; None where there is nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import LANGUAGES, MODELS, Reading, Run
+from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import LANGUAGES, MODELS, SEEN, Reading, Run
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
+from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.page.plotting import COLOURS, FEW, WIDTH, band, legend_above
 from dropout_uncertainty.stats import t_interval
 
-__all__ = ["over_time", "readings", "scores", "trial"]
+__all__ = ["learning", "over_time", "readings", "scores", "trial"]
 
 DARK = "#333333"
 #: Share of a normal distribution within two standard deviations.
@@ -22,6 +23,7 @@ STYLES = {
     "lstm-held": (COLOURS["deep-pilco"], "D"),
     "lstm-fresh": (COLOURS["bald"], "^"),
     "lstm-no-dropout": (COLOURS["least-confidence"], "v"),
+    "seen": (DARK, "x"),
 }
 MASKS = {"none": COLOURS["least-confidence"], "fresh": COLOURS["bald"], "held": COLOURS["deep-pilco"]}
 
@@ -99,4 +101,19 @@ def trial(found: Sequence[Run], replica: int = 0) -> Figure | None:
         ax.set(xlabel="time [s]", title=MODELS[run.name])
     axes[0, 0].set_ylabel("θ [rad]")
     figure.legend(handles=axes[0, 0].get_legend_handles_labels()[0], loc="outside upper center", ncols=2)
+    return figure
+
+
+def learning(found: Mapping[str, Learning]) -> Figure | None:
+    """Draw what each learner's trials cost, and the share of the repetitions whose trial is solved."""
+    if not found:
+        return None
+    figure, axes = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
+    for name, learner in found.items():
+        x = learner.tested
+        for ax, curves in zip(axes, (learner.trial_costs, learner.solved), strict=True):
+            band(ax, x, curves[:, x].astype(float), colour=STYLES[name][0], label=MODELS.get(name, SEEN))
+    for ax, words in zip(axes, ("mean cost per step", "share of trials solved"), strict=True):
+        ax.set(xlabel="trial", ylabel=words, ylim=(0, 1.02))
+    figure.legend(handles=axes[0].get_legend_handles_labels()[0], loc="outside upper center", ncols=2)
     return figure

@@ -3,8 +3,8 @@
 from functools import partial
 from pathlib import Path
 
-from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import load, reading
-from dropout_uncertainty.data_efficiency.report.statements import DEEP_TEXT, MARGIN_LOG
+from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import CONTROL, load, reading
+from dropout_uncertainty.data_efficiency.report.statements import DEEP_TEXT, MARGIN_COST, MARGIN_LOG, dearer
 from dropout_uncertainty.data_efficiency.report.statements import stated as of_section
 from dropout_uncertainty.judging.statements import Measured, Statement, needed, on_average
 from dropout_uncertainty.stats import apart, t_interval
@@ -32,7 +32,13 @@ def over_fits_less(first: str, second: str, folder: Path | None) -> Measured:
     return on_average(apart(lambda run: run.end, one, two), [*one.records, *two.records])
 
 
+def cheaper(model: str, folder: Path | None) -> Measured:
+    """Return what learning costs with the LSTM with held masks less what it costs with another model."""
+    return dearer((CONTROL["lstm-held"],), CONTROL[model], 25, folder)
+
+
 WAITS = "20 repetitions of both models on stored trials without their velocities"
+LEARNS = "ten runs of Deep PILCO with both models, which see x and θ alone"
 READS = "five language models of each kind"
 
 STATEMENTS: list[Statement] = [
@@ -45,6 +51,11 @@ STATEMENTS: list[Statement] = [
            MARGIN_LOG, partial(predicts_better, "lstm-held", "lstm-fresh"), would_test=WAITS),
     stated("DE13d", "It does so with dropout rather than without.", DEEP_TEXT, "more", MARGIN_LOG,
            partial(predicts_better, "lstm-held", "lstm-no-dropout"), would_test=WAITS),
+    stated("DE13e", "Where the state is not fully seen, Deep PILCO learns cheaper with a recurrent model than with a "
+           "feed-forward one of the last observation.", DEEP_TEXT, "less", MARGIN_COST, partial(cheaper, "last-one"),
+           unit="cost per step", would_test=LEARNS),
+    stated("DE13f", "It does so also where the feed-forward network is given the last four observations.", DEEP_TEXT,
+           "less", MARGIN_COST, partial(cheaper, "last-four"), unit="cost per step", would_test=LEARNS),
     stated("DE16a", "A recurrent language model over-fits less with masks held over the sequence than with fresh ones "
            "(surprise of a character of other text).", "Section 5.1", "less", MARGIN_SURPRISE,
            partial(over_fits_less, "held", "fresh"), would_test=READS),
