@@ -1,6 +1,6 @@
 """Learning where only x and θ are seen: what the policy is given, the predicted cost and its gradient, and a unit."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -8,12 +8,14 @@ import torch
 from toy import finish
 
 from dropout_uncertainty.data_efficiency import configs
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import RBFShape
 from dropout_uncertainty.data_efficiency.hidden_state import control
 from dropout_uncertainty.data_efficiency.hidden_state.control import CONFIGS, MIXED, PAST, ControlConfig, HiddenShape
 from dropout_uncertainty.data_efficiency.policies import force
 from dropout_uncertainty.rng import generator
 from dropout_uncertainty.runs.unit import RunError
+from dropout_uncertainty.settings import config_diff
 
 NAMES = ("last-one", "last-four", "lstm-held")
 SMALL = {"trials": 2, "particles": 4, "policy_steps": 3, "basis": 6, "noise": True}
@@ -118,6 +120,15 @@ def test_the_command_line_knows_the_learners_and_their_ten_seeds():
     for name in NAMES:
         (unit,) = configs.units(f"hidden/control-{name}")
         assert unit.seeds == tuple(range(10))
+
+
+def test_all_but_the_model_is_as_in_our_setting():
+    config = CONFIGS["hidden/control-last-one"]
+    shared = {f.name for f in fields(config)} & {f.name for f in fields(OURS)} - {"trials"}
+    assert len(shared) == 10
+    assert {name: getattr(config, name) for name in shared} == {name: getattr(OURS, name) for name in shared}
+    models = {name: config_diff(config, other) for name, other in CONFIGS.items()}
+    assert all(field == "model" for differences in models.values() for field, *_ in differences)
 
 
 def test_settings_that_cannot_be_are_refused():

@@ -111,9 +111,9 @@ def test_what_the_page_says_of_the_stored_runs():
     said = {"DE9a": "supported", "DE9b": "supported", "DE9c": "inconclusive", "DE9d": "inconclusive"}
     assert {name: judge([STATEMENTS[name]])[0].verdict for name in said} == said
     ddpg, naf = load("ddpg"), load("naf")
-    assert {len(learning.seeds) for learning in (ddpg, naf)} == {10}
-    assert sum(np.isinf(learning.first_solved).sum() for learning in (ddpg, naf)) == 1
-    kept = re.findall(r"(\d+) of 10 repetitions had 3 solved tests in a row", chapter.more().markdown)
-    assert sum(map(int, kept)) == 10
+    assert {len(learning.seeds) for learning in (ddpg, naf)} == {20}
+    assert sum(np.isinf(learning.first_solved).sum() for learning in (ddpg, naf)) == 3
+    kept = re.findall(r"(\d+) of 20 repetitions had 3 solved tests in a row", chapter.more().markdown)
+    assert sum(map(int, kept)) == 21
     assert all(end.difference.low < 0 < end.difference.high for end in analysis.ends())
     assert [len(end.records[0].seeds) for end in analysis.ends()] == [5] * 3
