@@ -10,10 +10,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["GRACE", "Stopped", "one_sentence"]
+__all__ = ["GRACE", "Stopped", "hush_tracker", "one_sentence"]
 
 #: Seconds that a command has to put its things away after a signal; then it is ended.
 GRACE = 2.0
+QUIET = "ignore::UserWarning:multiprocessing.resource_tracker"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -23,6 +24,15 @@ class Stopped(SystemExit):
     def __init__(self, number: int) -> None:
         super().__init__(128 + number)
         self.number = number
+
+
+def hush_tracker() -> None:
+    """Let the standard library put away in silence what ended processes leave behind, the lock of a bar among it.
+
+    Takes effect where its tracker has not been started yet.
+    """
+    if QUIET not in sys.warnoptions:
+        sys.warnoptions.append(QUIET)
 
 
 @contextlib.contextmanager
@@ -52,6 +62,7 @@ def one_sentence() -> Iterator[None]:
         time.sleep(GRACE)
         end(number)
 
+    hush_tracker()
     # the system writes the number of a signal here at once, whatever the main thread is doing
     arrived, noted = os.pipe()
     os.set_blocking(noted, False)

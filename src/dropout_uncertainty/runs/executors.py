@@ -5,7 +5,6 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
@@ -15,12 +14,12 @@ import torch
 from tqdm.auto import tqdm
 
 from dropout_uncertainty.runs.unit import RunError
+from dropout_uncertainty.stopping import hush_tracker
 
 __all__ = ["cluster", "processes"]
 
 #: Seconds to wait for a scheduler's answer.
 CONNECT_SECONDS = 5.0
-QUIET = "ignore::UserWarning:multiprocessing.resource_tracker"
 
 
 def processes(workers: int | None = None) -> ProcessPoolExecutor:
@@ -28,9 +27,7 @@ def processes(workers: int | None = None) -> ProcessPoolExecutor:
 
     An exception that leaves the context ends them at once, and so does the end of this process, whatever its cause.
     """
-    # What a killed process leaves behind is put away by the tracker of the standard library, which need not say so.
-    if QUIET not in sys.warnoptions:
-        sys.warnoptions.append(QUIET)
+    hush_tracker()
     # Spawned, because a fork of a process that has started threads can hang.
     return _Processes(workers or os.cpu_count(), multiprocessing.get_context("spawn"), initializer=_become_worker)
 

@@ -269,35 +269,32 @@ def test_the_gradient_of_each_replica_is_limited():
 
 
 class TestGuard:
-    def search(self, monkeypatch, values, above=0.9):
+    def search(self, values, above=0.9):
         """Return the outcome where successive searches reach the given costs; the parameters tell which was kept."""
         calls = []
 
-        def improve(made, plant, shape, plan, parameters, *path):
-            calls.append((made.seeds, path[-1]))
-            reached = torch.tensor([values[path[-1]][seed - 100] for seed in made.seeds], dtype=torch.float64)
+        def improve(rows, parameters, attempt):
+            calls.append((list(rows), attempt))
+            reached = torch.tensor([values[attempt][row] for row in rows], dtype=torch.float64)
             return planning.Improved(parameters.clone(), reached, torch.zeros(len(reached)).long())
 
-        monkeypatch.setattr(planning, "improve", improve)
         first, *fresh = (torch.full((3, SHAPE.size), float(i), dtype=torch.float64) for i in range(3))
-        best, redraws = planning.guarded(model((100, 101, 102)), PLANT, SHAPE, PLAN, first, fresh, above, 5)
+        best, redraws = planning.guarded(improve, first, fresh, above)
         return best.parameters[:, 0].tolist(), best.value.tolist(), redraws.tolist(), calls
 
-    def test_only_hopeless_policies_are_redrawn_and_the_better_is_kept(self, monkeypatch):
-        kept, value, redraws, calls = self.search(
-            monkeypatch, {0: [0.5, 0.95, 0.99], 1: [0.0, 0.6, 1.0], 2: [0.0, 0.0, 0.97]}
-        )
+    def test_only_hopeless_policies_are_redrawn_and_the_better_is_kept(self):
+        kept, value, redraws, calls = self.search({0: [0.5, 0.95, 0.99], 1: [0.0, 0.6, 1.0], 2: [0.0, 0.0, 0.97]})
         assert kept == [0, 1, 2]
         assert value == [0.5, 0.6, 0.97]
         assert redraws == [0, 1, 2]
-        assert calls == [((100, 101, 102), 0), ((101, 102), 1), ((102,), 2)]
+        assert calls == [([0, 1, 2], 0), ([1, 2], 1), ([2], 2)]
 
-    def test_a_policy_without_a_value_is_redrawn(self, monkeypatch):
-        kept, *_ = self.search(monkeypatch, {0: [0.5, 0.5, math.nan], 1: [0, 0, 0.8], 2: [0, 0, 0.7]})
+    def test_a_policy_without_a_value_is_redrawn(self):
+        kept, *_ = self.search({0: [0.5, 0.5, math.nan], 1: [0, 0, 0.8], 2: [0, 0, 0.7]})
         assert kept == [0, 0, 1]
 
-    def test_a_good_policy_is_not_redrawn(self, monkeypatch):
-        _, _, redraws, calls = self.search(monkeypatch, {0: [0.5, 0.5, 0.5]})
+    def test_a_good_policy_is_not_redrawn(self):
+        _, _, redraws, calls = self.search({0: [0.5, 0.5, 0.5]})
         assert redraws == [0, 0, 0]
         assert len(calls) == 1
 
