@@ -147,6 +147,8 @@ def test_what_the_page_says_of_the_stored_runs():
         "DE13b": "inconclusive",
         "DE13c": "inconclusive",
         "DE13d": "inconclusive",
+        "DE13e": "supported",
+        "DE13f": "inconclusive",
         "DE16a": "no difference",
         "DE16b": "supported",
     }
@@ -154,3 +156,11 @@ def test_what_the_page_says_of_the_stored_runs():
     found = judge([STATEMENTS["DE13"]], None)[0].measured
     widths = [interval.high - interval.low for interval in found.beside.values()]
     assert min(widths) == widths[-1]
+    learners = analysis.learners(of_section.load)
+    solved = {name: int(np.isfinite(learner.first_solved).sum()) for name, learner in learners.items()}
+    assert solved == {"last-one": 0, "last-four": 4, "lstm-held": 6, "seen": 10}
+    assert (learners["last-one"].predicted_costs[:, 1:].mean(0) > 0.9).all()
+    apart = [
+        stats.apart(lambda x: x.first_solved.clip(max=26), learners[name], learners["seen"]).mean() for name in solved
+    ]
+    assert min(apart[:3]) > 5

@@ -105,15 +105,17 @@ def trial(found: Sequence[Run], replica: int = 0) -> Figure | None:
 
 
 def learning(found: Mapping[str, Learning]) -> Figure | None:
-    """Draw what each learner's trials cost, and the share of the repetitions whose trial is solved."""
+    """Draw what each learner's trials cost, and the share of its repetitions that have had a solved one by then."""
     if not found:
         return None
-    figure, axes = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
+    figure, (costs, ever) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
     for name, learner in found.items():
-        x = learner.tested
-        for ax, curves in zip(axes, (learner.trial_costs, learner.solved), strict=True):
-            band(ax, x, curves[:, x].astype(float), colour=STYLES[name][0], label=MODELS.get(name, SEEN))
-    for ax, words in zip(axes, ("mean cost per step", "share of trials solved"), strict=True):
+        x, colour = learner.tested, STYLES[name][0]
+        band(costs, x, learner.trial_costs[:, x], colour=colour, label=MODELS.get(name, SEEN))
+        share, low, high = np.array([learner.solved_by(trial)[:3] for trial in x.tolist()]).T
+        ever.step(x, share, where="post", color=colour)
+        ever.fill_between(x, low, high, step="post", color=colour, alpha=0.12, linewidth=0)
+    for ax, words in ((costs, "mean cost per step"), (ever, "share of repetitions solved by then")):
         ax.set(xlabel="trial", ylabel=words, ylim=(0, 1.02))
-    figure.legend(handles=axes[0].get_legend_handles_labels()[0], loc="outside upper center", ncols=2)
+    figure.legend(handles=costs.get_legend_handles_labels()[0], loc="outside upper center", ncols=2)
     return figure
