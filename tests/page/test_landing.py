@@ -149,7 +149,8 @@ ADVICE = {
     "DE2g": "supported", "DE3h": "contradicted", "DE4a": "inconclusive", "DE4d": "no difference", "DE5b": "supported",
     "DE5d": "supported", "DE6b": "supported", "DE6c": "no difference", "DE7a": "supported", "DE7b": "supported",
     "DE7c": "untested", "DE8a": "differs", "DE8d": "agrees", "DE9a": "supported", "DE9b": "supported",
-    "DE13": "supported", "DE13b": "inconclusive", "DE13e": "supported", "DE13f": "inconclusive", "DE14a": "supported", "DE15": "untested",
+    "DE13": "supported", "DE13b": "inconclusive", "DE13e": "supported", "DE13f": "inconclusive", "DE14a": "supported",
+    "DE15": "untested",
 }  # fmt: skip
 
 
