@@ -137,5 +137,8 @@ def test_settings_that_cannot_be_are_refused():
         ControlConfig(model, particles=0)
     with pytest.raises(ValueError, match="positive spreads"):
         ControlConfig(model, spread=(1.0, 2.0))
+    for change in ({"clip": -1.0}, {"guard": 5.0}):
+        with pytest.raises(ValueError, match="no negative clip and a guard"):
+            ControlConfig(model, **change)
     with pytest.raises(RunError, match="run on the CPU, got the device cuda"):
         control.start(CONFIGS["hidden/control-lstm-held"], (100,), device="cuda")

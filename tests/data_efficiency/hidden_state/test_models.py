@@ -90,6 +90,23 @@ def test_the_objective_of_sequences_by_hand():
     assert torch.allclose(loss, (likelihood + decay).detach(), rtol=1e-6)
 
 
+@every_kind
+def test_a_broken_network_begins_anew_and_data_that_are_not_finite_are_refused(kind):
+    model, (seen, changes) = made(kind), data()
+    first = {name: value.clone() for name, value in model.state().items()}
+    broken = {name: value.clone() for name, value in first.items()}
+    broken["log_noise"][1] = torch.nan
+    model.restore(broken)
+    _, repairs = model.fit(seen, changes, "fit", how=HOW)
+    assert repairs.tolist() == [0, 1]
+    again = made(kind)
+    again.fit(seen, changes, "fit", how=HOW)
+    for name, value in model.state().items():
+        assert torch.allclose(value, again.state()[name], atol=1e-12), name
+    with pytest.raises(ValueError, match="finite transitions"):
+        model.fit(torch.full_like(seen, torch.nan), changes, "fit", how=HOW)
+
+
 class Still:
     """A model of a world that moves by 1 and 0 a step, with noise of known size."""
 

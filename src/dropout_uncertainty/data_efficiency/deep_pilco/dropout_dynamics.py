@@ -226,20 +226,18 @@ class DropoutDynamics:
         expected = (runs, inputs.shape[1], width), (runs, inputs.shape[1], outputs)
         if shapes != expected:
             raise ValueError(f"expected inputs [{runs}, N, {width}] and targets [{runs}, N, {outputs}], got {shapes}")
-        if not (inputs.isfinite().all() and targets.isfinite().all()):
-            raise ValueError("expected finite transitions, got NaN or infinity; look at the trials they come from")
+        check_finite(inputs, targets)
 
     def _restart_broken(self) -> Tensor:
         """Give replicas with a parameter that is not finite their first parameters; return which [R], as numbers."""
-        parameters = [*self.net.parameters(), self.log_noise]
-        sane = torch.stack([p.detach().flatten(1).isfinite().all(1) for p in parameters]).all(0)
-        if not sane.all():
+        lost = broken([*self.net.parameters(), self.log_noise])
+        if lost.any():
             fresh = MLP(self.sizes, self.drop, self.seeds, activation=self.activation, dtype=self.log_noise.dtype)
             with torch.no_grad():
                 for mine, first in zip(self.net.parameters(), fresh.parameters(), strict=True):
-                    mine[~sane] = first.to(mine.device)[~sane]
-                self.log_noise[~sane] = LOG_NOISE_START
-        return (~sane).long()
+                    mine[lost] = first.to(mine.device)[lost]
+                self.log_noise[lost] = LOG_NOISE_START
+        return lost.long()
 
     def _scale(self, inputs: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
         """Set the scaling from the data and return them scaled."""
@@ -305,6 +303,17 @@ class MeanDynamics:
     def select(self, replicas: Sequence[int]) -> "MeanDynamics":
         """Return a copy with some of the replicas."""
         return MeanDynamics(self.networks.select(replicas))
+
+
+def broken(parameters: Iterable[Tensor]) -> Bool[Tensor, " R"]:
+    """Return which replicas have a parameter that is not finite."""
+    return ~torch.stack([p.detach().flatten(1).isfinite().all(1) for p in parameters]).all(0)
+
+
+def check_finite(*data: Tensor) -> None:
+    """Raise ValueError if data are not finite."""
+    if not all(part.isfinite().all() for part in data):
+        raise ValueError("expected finite transitions, got NaN or infinity; look at the trials they come from")
 
 
 def without_gradient(bad: Bool[Tensor, " R"], parameters: Iterable[Tensor]) -> Bool[Tensor, " R"]:

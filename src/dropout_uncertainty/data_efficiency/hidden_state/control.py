@@ -69,6 +69,8 @@ class ControlConfig:
             raise ValueError(f"expected trials, steps, basis functions and particles of 1 or more, got {self}")
         if len(self.spread) != planning.DIM or min(self.spread) <= 0 or min(self.policy_rate, self.weight_std) <= 0:
             raise ValueError(f"expected positive spreads, one per feature of a state, and step size, got {self}")
+        if self.clip < 0 or not 0 <= self.guard <= 1:
+            raise ValueError(f"expected no negative clip and a guard in [0, 1], got {self.clip} and {self.guard}")
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,8 @@ from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import (
     LOG_NOISE_START,
     SCALING,
     DropoutDynamics,
+    broken,
+    check_finite,
     scaling,
     without_gradient,
 )
@@ -162,8 +164,14 @@ class Recurrent:
     ) -> tuple[Float[Tensor, " R"], Int[Tensor, " R"]]:
         """Train on whole sequences: the objective is that of `DropoutDynamics.fit`, a step being a transition.
 
-        ``how.batch`` counts sequences. The network's output is the mean of a step's change given all before it.
+        ``how.batch`` counts sequences. The network's output is the mean of a step's change given all before it. A
+        network with a parameter that is not finite begins anew, which counts as a gradient that was left out.
+
+        Raises:
+            ValueError: if a number is not finite.
         """
+        check_finite(seen, changes)
+        repairs = self._restart_broken()
         self.input_mean, self.input_std = scaling(seen.flatten(1, 2))
         self.target_mean, self.target_std = scaling(changes.flatten(1, 2))
         x = (seen - self.input_mean[:, None]) / self.input_std[:, None]
@@ -172,7 +180,7 @@ class Recurrent:
         parameters = [*self.net.parameters(), self.log_noise]
         adam = torch.optim.Adam(parameters, lr=how.rate, fused=True)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, how.steps, eta_min=how.rate * how.final_rate)
-        late, repairs = torch.zeros_like(x[:, 0, 0, 0]), torch.zeros(len(x), dtype=torch.int64)
+        late = torch.zeros_like(x[:, 0, 0, 0])
         tail = max(1, how.steps // 10)
         for step in range(how.steps):
             loss = self._loss(*self._batch(x, y, how.batch, *path, step))
@@ -185,6 +193,20 @@ class Recurrent:
             if step >= how.steps - tail:
                 late += loss.detach() / tail
         return late, repairs
+
+    def _restart_broken(self) -> Int[Tensor, " R"]:
+        """Give replicas with a parameter that is not finite their first parameters; return which, as numbers."""
+        lost = broken([*self.net.parameters(), self.log_noise])
+        if lost.any():
+            first, now = self._new(self.net.seeds).state(), self.state()
+            for name, value in now.items():
+                value[lost] = first[name][lost]
+            self.restore(now)
+        return lost.long()
+
+    def _new(self, seeds: Sequence[int]) -> "Recurrent":
+        """Return networks of this kind before any fit."""
+        return Recurrent(seeds, self.net.sizes[1], self.net.drop, self.held, self.net.bias.dtype)
 
     def _batch(self, x: Tensor, y: Tensor, batch: int, *path: str | int) -> tuple[Tensor, Tensor, Masks]:
         """Return some sequences, drawn with replacement, and a weight draw for each."""
@@ -217,8 +239,7 @@ class Recurrent:
     def select(self, replicas: Sequence[int]) -> "Recurrent":
         """Return a copy with some of the replicas."""
         rows = list(replicas)
-        seeds = [self.net.seeds[row] for row in rows]
-        part = Recurrent(seeds, self.net.sizes[1], self.net.drop, self.held, self.net.bias.dtype)
+        part = self._new([self.net.seeds[row] for row in rows])
         part.restore({name: value[rows] for name, value in self.state().items()})
         return part
 

@@ -11,9 +11,11 @@ matplotlib.use("agg")
 import matplotlib.pyplot as plt
 
 from dropout_uncertainty.data_efficiency.configs import CONFIGS
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS
 from dropout_uncertainty.data_efficiency.model_free.config import ENDS, SEARCH
 from dropout_uncertainty.data_efficiency.model_free.report import analysis, chapter, figures
 from dropout_uncertainty.data_efficiency.report.analysis import from_arrays, from_records, load, solved_table
+from dropout_uncertainty.data_efficiency.report.statements import times_as_many
 from dropout_uncertainty.judging.collect import STATEMENTS
 from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.page.plotting import WIDTH
@@ -110,6 +112,9 @@ def test_what_the_page_says_of_the_stored_runs():
     """Where this changes, write "What it means" again, and the line of "What to use when"."""
     said = {"DE9a": "supported", "DE9b": "supported", "DE9c": "inconclusive", "DE9d": "inconclusive"}
     assert {name: judge([STATEMENTS[name]])[0].verdict for name in said} == said
+    times = [times_as_many(name, "deep-pilco-ours", 0.0, None).ours for name in ("naf", "ddpg")]
+    assert [[round(end, -1) for end in (t.low, t.high)] for t in times] == [[40, 140], [90, 200]]
+    assert OURS.model_steps + OURS.policy_steps == 900
     ddpg, naf = load("ddpg"), load("naf")
     assert {len(learning.seeds) for learning in (ddpg, naf)} == {20}
     assert sum(np.isinf(learning.first_solved).sum() for learning in (ddpg, naf)) == 3

@@ -26,7 +26,7 @@ def predicts_better(first: str, second: str, folder: Path | None) -> Measured:
     return on_average(difference.mean(1), [*one.records, *two.records], beside=beside)
 
 
-def over_fits_less(first: str, second: str, folder: Path | None) -> Measured:
+def less_surprised(first: str, second: str, folder: Path | None) -> Measured:
     """Return the surprise in test at the end with some masks less that with others, paired by seed."""
     one, two = (needed(reading(masks, load(f"language-{masks}", folder))) for masks in (first, second))
     return on_average(apart(lambda run: run.end, one, two), [*one.records, *two.records])
@@ -56,9 +56,9 @@ STATEMENTS: list[Statement] = [
            unit="cost per step", would_test=LEARNS),
     stated("DE13f", "It does so also where the feed-forward network is given the last four observations.", DEEP_TEXT,
            "less", MARGIN_COST, partial(cheaper, "last-four"), unit="cost per step", would_test=LEARNS),
-    stated("DE16a", "A recurrent language model over-fits less with masks held over the sequence than with fresh ones "
-           "(surprise of a character of other text).", "Section 5.1", "less", MARGIN_SURPRISE,
-           partial(over_fits_less, "held", "fresh"), would_test=READS),
-    stated("DE16b", "It over-fits less with held masks than without dropout.", "Section 5.1", "less", MARGIN_SURPRISE,
-           partial(over_fits_less, "held", "none"), would_test=READS),
+    stated("DE16a", "A recurrent language model that has read a text many times is less surprised by other text with "
+           "masks held over the sequence than with fresh ones.", "Section 5.1", "less", MARGIN_SURPRISE,
+           partial(less_surprised, "held", "fresh"), would_test=READS),
+    stated("DE16b", "It is so with held masks rather than without dropout.", "Section 5.1", "less", MARGIN_SURPRISE,
+           partial(less_surprised, "held", "none"), would_test=READS),
 ]  # fmt: skip
