@@ -1,4 +1,4 @@
-"""An agent that holds a draw for an episode, after random moves: python examples/hold_a_draw.py CartPole-v1 150."""
+"""An agent with a few actions holds a draw for an episode, after random moves: hold_a_draw.py CartPole-v1 150."""
 
 import random
 import sys

@@ -53,3 +53,5 @@ def test_on_a_gpu_seeds_are_stacked_and_the_device_shows_in_the_name():
 def test_an_unknown_config_is_named():
     with pytest.raises(RunError, match="unknown config 'mine', choose one of as-demo"):
         exploration.units("mine", [100])
+    with pytest.raises(RunError, match=r"did you mean ours-thompson\?"):
+        exploration.units("ours/thompson", [100])

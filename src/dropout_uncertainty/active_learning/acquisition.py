@@ -158,5 +158,6 @@ def select(scores: ArrayLike, count: int, generator: Generator) -> Selection:
     tied = int((scores == scores[positions[-1]]).sum())
     all_tied = tied == len(scores) and len(scores) > 1
     if all_tied:
-        warnings.warn("all scores are equal: this acquisition is random", stacklevel=2)
+        why = "with one draw of the weights, or one set of them, BALD is 0 everywhere"
+        warnings.warn(f"all scores are equal: this acquisition is random ({why})", stacklevel=2)
     return Selection(positions, tied, all_tied)

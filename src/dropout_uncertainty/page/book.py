@@ -249,7 +249,8 @@ def _side_by_side(names: Sequence[str], profile: str) -> dict[str, float]:
             entry = future.result()
             took[name] = entry["seconds"]
             _note(profile, name, **entry)
-            print(f"{NOTEBOOKS / name}.ipynb ran in profile {profile}: {_duration(took[name])}", flush=True)
+            words = f"{NOTEBOOKS / name}.ipynb ran in profile {profile}: {_duration(took[name])}"
+            print(f"{words}; its outputs are in {EXECUTED / name}.ipynb", flush=True)
     return took
 
 
@@ -258,6 +259,7 @@ def _execute(name: str, profile: str, places: int) -> dict[str, float]:
     papermill, failures = _papermill()
     source, running = NOTEBOOKS / f"{name}.ipynb", RUNNING / f"{name}.ipynb"
     (EXECUTED / running.name).unlink(missing_ok=True)
+    print(f"{source} begins", flush=True)
     os.environ["OMP_NUM_THREADS"] = str(max(1, (os.cpu_count() or 1) // places))
     os.environ[dark_pages.TWICE] = "1"
     # every parameter is injected, so that the page can show the injected cell alone

@@ -1,5 +1,6 @@
 """From named configs to units of work: one way to cut seeds, for all sections."""
 
+import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -69,5 +70,7 @@ def units(
     """
     of = {config: sweep for sweep in sweeps for config in sweep.configs}
     if name not in of:
-        raise RunError(f"unknown config {name!r}, choose one of {', '.join(of)}")
+        near = difflib.get_close_matches(name, of, 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise RunError(f"unknown config {name!r}, choose one of {', '.join(of)}{hint}")
     return of[name].units(name, seeds, device, precision)

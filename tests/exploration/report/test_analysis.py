@@ -4,6 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.experiment import CONFIGS
 from dropout_uncertainty.exploration.report import analysis, figures
 from dropout_uncertainty.judging.collect import STATEMENTS
@@ -244,3 +245,8 @@ def test_what_holds_is_supported_and_what_fails_contradicted(tmp_path):
 
 def test_where_dropout_stands_needs_no_runs(tmp_path):
     assert verdicts(tmp_path, "EX4", "EX5a") == ["refuted", "untested"]
+
+
+def test_an_agent_that_is_not_stored_is_said_to_be_missing(tmp_path):
+    with pytest.raises(UserError, match=r"stored runs of the agent 'thompson' .* got those of none: git restores"):
+        analysis.load("ours-thompson", tmp_path)["thompson"]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.experiment import BLOCK, CONFIGS, EXPERIMENT, Config
 from dropout_uncertainty.judging.results import Result, measured, thesis_value
 from dropout_uncertainty.runs import records
@@ -120,6 +121,17 @@ class Curves:
 Agents = dict[str, Curves]
 
 
+class Stored(Agents):
+    """Agents whose runs are stored; asking for another says so."""
+
+    def __missing__(self, name: str) -> Curves:
+        """Raise UserError."""
+        raise UserError(
+            f"expected stored runs of the agent {name!r} in {records.root()}, got those of {list(self) or 'none'}: "
+            f"git restores records that were deleted, `dropout-uncertainty run {EXPERIMENT}` computes what is missing"
+        )
+
+
 def load(name: str, folder: Path | None = None, *, published: bool = True) -> Agents:
     """Return the recorded agents of a config, or of all configs of a family ("ours"); empty without records.
 
@@ -129,7 +141,7 @@ def load(name: str, folder: Path | None = None, *, published: bool = True) -> Ag
         RecordError: if a record cannot be trusted.
     """
     names = [name] if name in CONFIGS else [config for config in CONFIGS if config.startswith(f"{name}-")]
-    agents: Agents = {}
+    agents = Stored()
     for config in names:
         found = records.find(EXPERIMENT, name=config, folder=folder, published=published)
         if found:
