@@ -116,3 +116,11 @@ def test_seed_lists():
     for bad in ("", "a", "-3", "3-1", "1,,2"):
         with pytest.raises(UserError):
             cli.seed_list(bad)
+
+
+def test_a_run_for_a_gpu_without_one_says_how_to_try_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    outcome = CliRunner().invoke(cli.app, ["gpu", "--out", str(tmp_path)])
+    assert isinstance(outcome.exception, UserError)
+    assert "--tiny tries everything without one" in str(outcome.exception)
+    assert not list(tmp_path.iterdir())

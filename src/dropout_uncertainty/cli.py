@@ -167,7 +167,10 @@ def gpu(
     from dropout_uncertainty import gpu
     from dropout_uncertainty.runs.unit import check_device
 
-    report = gpu.run(out, 60 * minutes, device=check_device("auto" if tiny else "cuda"), tiny=tiny, workers=workers)
+    device = check_device("auto")
+    if device == "cpu" and not tiny:
+        raise UserError("expected a CUDA GPU, PyTorch finds none here; --tiny tries everything without one")
+    report = gpu.run(out, 60 * minutes, device=device, tiny=tiny, workers=workers)
     failed = [name for name, part in report["parts"].items() if part["state"] == "failed"]
     raise typer.Exit(code=1 if failed else 0)
 

@@ -84,7 +84,7 @@ def check_device(name: str) -> str:
     if name not in ("auto", "cpu", "cuda"):
         raise RunError(f"unknown device {name!r}, choose auto, cpu or cuda")
     if name == "cuda" and not torch.cuda.is_available():
-        raise RunError("device cuda was asked for, but PyTorch finds no CUDA GPU here: use --device cpu, or gpu --tiny")
+        raise RunError("device cuda was asked for, but PyTorch finds no CUDA GPU here: use --device cpu")
     return "cuda" if name != "cpu" and torch.cuda.is_available() else "cpu"
 
 

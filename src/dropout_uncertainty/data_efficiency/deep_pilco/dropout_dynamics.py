@@ -8,6 +8,7 @@ import copy
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -53,7 +54,70 @@ class DrawnFunction:
         return x
 
 
-class DropoutDynamics:
+class Networks:
+    """R networks with Gaussian noise of learned size, and all that a fit changes of them.
+
+    A kind of networks has a ``net`` whose parameters carry the replica axis first, ``log_noise`` [R, 1, E] in units of
+    the targets' standard deviation, and what inputs and targets are scaled by (`SCALING`).
+    """
+
+    seeds: tuple[int, ...]
+    net: nn.Module
+    log_noise: nn.Parameter
+    input_mean: Tensor
+    input_std: Tensor
+    target_mean: Tensor
+    target_std: Tensor
+
+    def _new_net(self, seeds: Sequence[int]) -> Any:
+        """Return networks of this kind before any fit, in the precision of ``log_noise`` and on its device."""
+        raise NotImplementedError
+
+    def noise_std(self) -> Float[Tensor, "R E"]:
+        """Return the learned standard deviation of the noise on each target, in SI units."""
+        return (self._log_noise().exp() * self.target_std)[:, 0].detach()
+
+    def _log_noise(self) -> Tensor:
+        return self.log_noise.clamp(*LOG_NOISE_RANGE)
+
+    def select(self, replicas: Sequence[int]) -> Any:
+        """Return a copy with some of the replicas, or itself for all of them."""
+        rows = list(replicas)
+        if rows == list(range(len(self.seeds))):
+            return self
+        part = copy.copy(self)
+        part.seeds = tuple(self.seeds[row] for row in rows)
+        part.net, part.log_noise = self._new_net(part.seeds), nn.Parameter(self.log_noise.detach()[rows])
+        part.restore({name: value[rows] for name, value in self.state().items()})
+        return part
+
+    def _restart_broken(self) -> Int[Tensor, " R"]:
+        """Give replicas with a parameter that is not finite their first parameters; return which, as numbers."""
+        parameters = [*self.net.parameters(), self.log_noise]
+        lost = ~torch.stack([p.detach().flatten(1).isfinite().all(1) for p in parameters]).all(0)
+        if lost.any():
+            first = [*self._new_net(self.seeds).parameters(), torch.full_like(self.log_noise, LOG_NOISE_START)]
+            with torch.no_grad():
+                for mine, new in zip(parameters, first, strict=True):
+                    mine[lost] = new[lost]
+        return lost.long()
+
+    def state(self) -> dict[str, Tensor]:
+        """Return a copy of all that a fit changes."""
+        named = {name: p.detach().clone() for name, p in self.net.named_parameters()}
+        scaling = {name: getattr(self, name).clone() for name in SCALING}
+        return {**named, "log_noise": self.log_noise.detach().clone(), **scaling}
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Continue from `state()` of networks made with the same arguments."""
+        with torch.no_grad():
+            for name, p in itertools.chain(self.net.named_parameters(), [("log_noise", self.log_noise)]):
+                p.copy_(state[name])
+        for name in SCALING:
+            setattr(self, name, state[name].to(self.log_noise))
+
+
+class DropoutDynamics(Networks):
     """R dropout networks from a state and a force to the change of the state, with Gaussian noise of learned size.
 
     Args:
@@ -95,11 +159,16 @@ class DropoutDynamics:
         self.sizes = (width, *hidden, outputs)
         self.drop = (input_drop, *(drop for _ in hidden))
         self.seeds = tuple(seeds)
-        self.net = MLP(self.sizes, self.drop, self.seeds, activation=activation, dtype=dtype).to(device)
         blank = torch.zeros(len(self.seeds), 1, 1, dtype=dtype, device=device)
         self.log_noise = nn.Parameter(blank.expand(-1, 1, outputs) + LOG_NOISE_START)
+        self.net: MLP = self._new_net(self.seeds)
         self.input_mean, self.input_std = blank.expand(-1, 1, width), blank.expand(-1, 1, width) + 1
         self.target_mean, self.target_std = blank.expand(-1, 1, outputs), blank.expand(-1, 1, outputs) + 1
+
+    def _new_net(self, seeds: Sequence[int]) -> MLP:
+        """Return networks of this kind before any fit, in the precision of ``log_noise`` and on its device."""
+        net = MLP(self.sizes, self.drop, seeds, activation=self.activation, dtype=self.log_noise.dtype)
+        return net.to(self.log_noise.device)
 
     def inputs(self, states: Float[Tensor, "*batch 4"], forces: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch D"]:
         """Return what the network is given for states and forces [N]."""
@@ -109,10 +178,6 @@ class DropoutDynamics:
     def draw(self, count: int, *path: str | int) -> Masks:
         """Return ``count`` weight draws per replica, a function of each replica's seed and the path."""
         return draw_masks(self.seeds, self.sizes[:-1], self.drop, count, *path, weight=self.log_noise)
-
-    def noise_std(self) -> Float[Tensor, "R E"]:
-        """Return the learned standard deviation of the noise on each state difference, in SI units."""
-        return (self._log_noise().exp() * self.target_std)[:, 0].detach()
 
     def function(self, masks: Masks | None) -> DrawnFunction:
         """Return the functions of one weight draw per row; ``masks=None``: the deterministic pass."""
@@ -134,23 +199,6 @@ class DropoutDynamics:
     def mean(self) -> "MeanDynamics":
         """Return the mean networks (weight scaling) in the place of their draws; parameters and scaling are shared."""
         return MeanDynamics(self)
-
-    def select(self, replicas: Sequence[int]) -> "DropoutDynamics":
-        """Return a copy with some of the replicas."""
-        rows = list(replicas)
-        if rows == list(range(len(self.seeds))):
-            return self
-        part = copy.copy(self)
-        part.seeds = tuple(self.seeds[row] for row in rows)
-        dtype, device = self.log_noise.dtype, self.log_noise.device
-        part.net = MLP(self.sizes, self.drop, part.seeds, activation=self.activation, dtype=dtype).to(device)
-        with torch.no_grad():
-            for mine, whole in zip(part.net.parameters(), self.net.parameters(), strict=True):
-                mine.copy_(whole[rows])
-            part.log_noise = nn.Parameter(self.log_noise[rows])
-        for name in SCALING:
-            setattr(part, name, getattr(self, name)[rows])
-        return part
 
     def fit(
         self,
@@ -228,17 +276,6 @@ class DropoutDynamics:
             raise ValueError(f"expected inputs [{runs}, N, {width}] and targets [{runs}, N, {outputs}], got {shapes}")
         check_finite(inputs, targets)
 
-    def _restart_broken(self) -> Tensor:
-        """Give replicas with a parameter that is not finite their first parameters; return which [R], as numbers."""
-        lost = broken([*self.net.parameters(), self.log_noise])
-        if lost.any():
-            fresh = MLP(self.sizes, self.drop, self.seeds, activation=self.activation, dtype=self.log_noise.dtype)
-            with torch.no_grad():
-                for mine, first in zip(self.net.parameters(), fresh.parameters(), strict=True):
-                    mine[lost] = first.to(mine.device)[lost]
-                self.log_noise[lost] = LOG_NOISE_START
-        return lost.long()
-
     def _scale(self, inputs: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
         """Set the scaling from the data and return them scaled."""
         inputs, targets = inputs.to(self.log_noise), targets.to(self.log_noise)
@@ -255,25 +292,8 @@ class DropoutDynamics:
         )  # fmt: skip
         return rows, self.draw(BLOCK * batch, *path)
 
-    def _log_noise(self) -> Tensor:
-        return self.log_noise.clamp(*LOG_NOISE_RANGE)
-
     def _penalty(self, decays: Sequence[float]) -> Tensor:
         return sum(d * w.detach().square().sum((1, 2)) for d, w in zip(decays, self.net.weights, strict=True))
-
-    def state(self) -> dict[str, Tensor]:
-        """Return a copy of all that a fit changes."""
-        named = {name: p.detach().clone() for name, p in self.net.named_parameters()}
-        scaling = {name: getattr(self, name).clone() for name in SCALING}
-        return {**named, "log_noise": self.log_noise.detach().clone(), **scaling}
-
-    def restore(self, state: dict[str, Tensor]) -> None:
-        """Continue from `state()` of a model made with the same arguments."""
-        with torch.no_grad():
-            for name, p in itertools.chain(self.net.named_parameters(), [("log_noise", self.log_noise)]):
-                p.copy_(state[name])
-        for name in SCALING:
-            setattr(self, name, state[name].to(self.log_noise))
 
 
 @dataclass(frozen=True)
@@ -303,11 +323,6 @@ class MeanDynamics:
     def select(self, replicas: Sequence[int]) -> "MeanDynamics":
         """Return a copy with some of the replicas."""
         return MeanDynamics(self.networks.select(replicas))
-
-
-def broken(parameters: Iterable[Tensor]) -> Bool[Tensor, " R"]:
-    """Return which replicas have a parameter that is not finite."""
-    return ~torch.stack([p.detach().flatten(1).isfinite().all(1) for p in parameters]).all(0)
 
 
 def check_finite(*data: Tensor) -> None:

@@ -92,8 +92,10 @@ def act(
     return torch.cat((seen if angle_features else state, force(seen, matrix, weights, limit)), -1)
 
 
-def force(seen: Float[Tensor, "R K D"], matrix: Tensor, weights: Tensor, limit: float) -> Float[Tensor, "R K 1"]:
-    """Return the force [N] of a policy that was multiplied out on what it sees."""
+def force(
+    seen: Float[Tensor, "R K D"], matrix: Float[Tensor, "R Q N"], weights: Float[Tensor, "R N 1"], limit: float
+) -> Float[Tensor, "R K 1"]:
+    """Return the force, within ``limit`` [N], of a policy (`multiplied_out`) on D features; Q = 2 D + 1."""
     squares = torch.cat((seen, seen * seen, torch.ones_like(seen[..., :1])), -1)
     return squash((squares @ matrix).exp() @ weights, limit)
 

@@ -226,9 +226,15 @@ def descend(
     final_rate: float,
     clip: float,
 ) -> Improved:
-    """Return policies after steps of Adam, from values [R] and gradients [R, P] that are drawn anew at each.
+    """Return policies after steps of Adam; a gradient that is not finite, or whose value is not, is left out.
 
-    ``rate`` falls along a cosine to ``final_rate`` of it; a gradient longer than ``clip``, if that is not 0, is cut.
+    Args:
+        evaluate: gives predicted costs [R] and their gradients [R, P] for parameters [R, P], under new draws each time.
+        parameters: where to begin.
+        steps: how many.
+        rate: their size at first; it falls along a cosine.
+        final_rate: their size at the end, as a share of ``rate``.
+        clip: to which length a replica's gradient is cut, if it is longer; 0: it is not.
     """
     current = parameters.detach().clone().requires_grad_()
     adam = torch.optim.Adam([current], lr=rate, fused=True)

@@ -21,8 +21,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco import planning
 from dropout_uncertainty.data_efficiency.deep_pilco.particles import force, multiplied_out
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import RBFShape
 from dropout_uncertainty.data_efficiency.hidden_state.models import SEEN, Model, ModelConfig, inputs_of
-from dropout_uncertainty.data_efficiency.hidden_state.prediction import CONFIGS as PREDICTION
-from dropout_uncertainty.data_efficiency.hidden_state.prediction import FAMILY
+from dropout_uncertainty.data_efficiency.hidden_state.prediction import FAMILY, MODELS
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, Learner
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
@@ -81,7 +80,10 @@ class HiddenPolicy:
     mixture: Float[Tensor, "R 1 2 I"]  # of the mean speeds over the last 1, 2, ... I intervals, for x and θ
 
     def inputs(self, past: Sequence[Float[Tensor, "R K 2"]], dt: float) -> Float[Tensor, "R K 5"]:
-        """Return x, the speeds of x and θ, sin θ and cos θ, by the last observations (x, θ), the latest last."""
+        """Return x [m], the speeds of x [m/s] and θ [rad/s], sin θ and cos θ, by observations ``dt`` [s] apart.
+
+        The observations are x [m] and θ [rad], the latest last.
+        """
         now = past[-1]
         means = torch.stack([(now - past[-1 - back]) / (back * dt) for back in range(1, len(past))], -1)
         speeds = (self.mixture * means).sum(-1)
@@ -114,7 +116,11 @@ def predict(
     start: Float[Tensor, "R K 2"],
     noise: Float[Tensor, "R T K 2"],
 ) -> Float[Tensor, "R T K 2"]:
-    """Return the observations of times 1 ... T that a policy is expected to make, differentiable in its parameters."""
+    """Return the observations (x [m], θ [rad]) of times 1 ... T that a policy is expected to make.
+
+    They are differentiable in the parameters of the policy. Particle k begins at ``start`` under its part of ``draw``,
+    which is the model's; ``noise`` is standard normal, and scaled by what the model has learned.
+    """
     matrix, weights = multiplied_out(policy.on_states)
     std, memory, past, visited = model.noise_std()[:, None], None, [start] * PAST, []
     for t in range(plant.steps):
@@ -126,7 +132,7 @@ def predict(
 
 
 def costs(plant: CartPole, observed: Float[Tensor, "R T K 2"]) -> Float[Tensor, "R T"]:
-    """Return the mean cost of the particles at each time."""
+    """Return the mean cost [0, 1] of the particles at each time; it does not depend on the speeds."""
     x, theta = observed.unbind(-1)
     still = torch.zeros_like(x)
     return cost(plant, torch.stack((x, still, still, theta), -1)).mean(-1)
@@ -179,9 +185,8 @@ class HiddenLearning(Learner):
         config, trial = self.config, self.done
 
         def search(rows: Sequence[int], start: Tensor, attempt: int) -> planning.Improved:
-            model = self.model if len(rows) == len(self.seeds) else self.model.select(rows)
             seeds = [self.seeds[row] for row in rows]
-            evaluate = self._objective(model, seeds, "plan", trial, attempt)
+            evaluate = self._objective(self.model.select(rows), seeds, "plan", trial, attempt)
             return planning.descend(
                 evaluate, start, steps=config.policy_steps, rate=config.policy_rate, final_rate=1.0, clip=config.clip
             )
@@ -282,13 +287,7 @@ def start(
     return HiddenLearning(of_type(ControlConfig, config, "config"), seeds, precision_dtype(precision))
 
 
-def _learner(name: str) -> ControlConfig:
-    """Return the learner with a model whose predictions have been looked at."""
-    model = PREDICTION[f"{FAMILY}/{name}"]
-    return ControlConfig(ModelConfig(**{key: getattr(model, key) for key in ModelConfig.__dataclass_fields__}))
-
-
-CONFIGS = {f"{FAMILY}/control-{name}": _learner(name) for name in ("last-one", "last-four", "lstm-held")}
+CONFIGS = {f"{FAMILY}/control-{name}": ControlConfig(MODELS[name]) for name in ("last-one", "last-four", "lstm-held")}
 
 
 def memory(config: ControlConfig) -> float:

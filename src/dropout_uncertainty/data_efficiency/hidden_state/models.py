@@ -18,11 +18,9 @@ from torch import Tensor, nn
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import Masks, weight_decay
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import (
-    LOG_NOISE_RANGE,
     LOG_NOISE_START,
-    SCALING,
     DropoutDynamics,
-    broken,
+    Networks,
     check_finite,
     scaling,
     without_gradient,
@@ -138,7 +136,7 @@ class Windowed:
         self.networks.restore(state)
 
 
-class Recurrent:
+class Recurrent(Networks):
     """R recurrent networks that read the sequence; masks are held over it, or fresh at every step.
 
     Args:
@@ -152,10 +150,10 @@ class Recurrent:
     def __init__(
         self, seeds: Sequence[int], width: int, drop: Sequence[float], held: bool, dtype: torch.dtype = torch.float32
     ) -> None:
-        self.net = LSTM((INPUTS, width, OUTPUTS), drop, seeds, dtype=dtype)
-        self.held = held
-        blank = torch.zeros(len(self.net.seeds), 1, 1, dtype=dtype)
+        self.seeds, self.width, self.drop, self.held = tuple(seeds), width, tuple(drop), held
+        blank = torch.zeros(len(self.seeds), 1, 1, dtype=dtype)
         self.log_noise = nn.Parameter(blank.expand(-1, 1, OUTPUTS) + LOG_NOISE_START)
+        self.net: LSTM = self._new_net(self.seeds)
         self.input_mean, self.input_std = blank, blank + 1
         self.target_mean, self.target_std = blank, blank + 1
 
@@ -176,7 +174,7 @@ class Recurrent:
         self.target_mean, self.target_std = scaling(changes.flatten(1, 2))
         x = (seen - self.input_mean[:, None]) / self.input_std[:, None]
         y = (changes - self.target_mean[:, None]) / self.target_std[:, None]
-        decays = [weight_decay(x[0, ..., 0].numel(), p, how.length_scale, 1.0) for p in self.net.drop]
+        decays = [weight_decay(x[0, ..., 0].numel(), p, how.length_scale, 1.0) for p in self.drop]
         parameters = [*self.net.parameters(), self.log_noise]
         adam = torch.optim.Adam(parameters, lr=how.rate, fused=True)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, how.steps, eta_min=how.rate * how.final_rate)
@@ -194,31 +192,21 @@ class Recurrent:
                 late += loss.detach() / tail
         return late, repairs
 
-    def _restart_broken(self) -> Int[Tensor, " R"]:
-        """Give replicas with a parameter that is not finite their first parameters; return which, as numbers."""
-        lost = broken([*self.net.parameters(), self.log_noise])
-        if lost.any():
-            first, now = self._new(self.net.seeds).state(), self.state()
-            for name, value in now.items():
-                value[lost] = first[name][lost]
-            self.restore(now)
-        return lost.long()
-
-    def _new(self, seeds: Sequence[int]) -> "Recurrent":
-        """Return networks of this kind before any fit."""
-        return Recurrent(seeds, self.net.sizes[1], self.net.drop, self.held, self.net.bias.dtype)
+    def _new_net(self, seeds: Sequence[int]) -> LSTM:
+        """Return networks of this kind before any fit, in the precision of ``log_noise``."""
+        return LSTM((INPUTS, self.width, OUTPUTS), self.drop, seeds, dtype=self.log_noise.dtype)
 
     def _batch(self, x: Tensor, y: Tensor, batch: int, *path: str | int) -> tuple[Tensor, Tensor, Masks]:
         """Return some sequences, drawn with replacement, and a weight draw for each."""
         count, steps = x.shape[1:3]
         batch = min(batch, count)
-        rows = rng.stacked(lambda g: torch.randint(count, (batch,), generator=g), self.net.seeds, "batches", *path)
+        rows = rng.stacked(lambda g: torch.randint(count, (batch,), generator=g), self.seeds, "batches", *path)
         runs = torch.arange(len(x))[:, None]
         return x[runs, rows], y[runs, rows], self.draw(batch, steps, *path)
 
     def _loss(self, x: Float[Tensor, "R B T D"], y: Float[Tensor, "R B T E"], masks: Masks) -> Float[Tensor, " R"]:
         """Return the mean negative log-likelihood of a step, in nats but for a constant."""
-        noise = self.log_noise.clamp(*LOG_NOISE_RANGE)[:, None]
+        noise = self._log_noise()[:, None]
         out, _ = self.net(x, masks)
         return (((out - y) * (-noise).exp()).square() / 2 + noise).mean((1, 2)).sum(-1)
 
@@ -231,30 +219,6 @@ class Recurrent:
         x = (seen - self.input_mean) / self.input_std
         out, memory = self.net.step(x, memory or self.net.blank(x.shape[1]), draw, t)
         return out * self.target_std + self.target_mean, memory
-
-    def noise_std(self) -> Float[Tensor, "R E"]:
-        """Return the learned standard deviation of the noise, in SI units."""
-        return (self.log_noise.clamp(*LOG_NOISE_RANGE).exp() * self.target_std)[:, 0].detach()
-
-    def select(self, replicas: Sequence[int]) -> "Recurrent":
-        """Return a copy with some of the replicas."""
-        rows = list(replicas)
-        part = self._new([self.net.seeds[row] for row in rows])
-        part.restore({name: value[rows] for name, value in self.state().items()})
-        return part
-
-    def state(self) -> dict[str, Tensor]:
-        """Return a copy of all that a fit changes."""
-        trained = {**dict(self.net.named_parameters()), "log_noise": self.log_noise}
-        return {n: p.detach().clone() for n, p in trained.items()} | {n: getattr(self, n).clone() for n in SCALING}
-
-    def restore(self, state: dict[str, Tensor]) -> None:
-        """Continue from `state()` of a model made with the same arguments."""
-        with torch.no_grad():
-            for name, parameter in [*self.net.named_parameters(), ("log_noise", self.log_noise)]:
-                parameter.copy_(state[name])
-        for name in SCALING:
-            setattr(self, name, state[name])
 
 
 @dataclass(frozen=True)

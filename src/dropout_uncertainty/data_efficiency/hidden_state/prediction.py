@@ -22,9 +22,9 @@ from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import only_cpu, precision_dtype
-from dropout_uncertainty.settings import of_type
+from dropout_uncertainty.settings import of_type, widened
 
-__all__ = ["CONFIGS", "FAMILY", "Prediction", "PredictionConfig", "stored_trials"]
+__all__ = ["CONFIGS", "FAMILY", "MODELS", "Prediction", "PredictionConfig", "stored_trials"]
 
 FAMILY = "hidden"
 #: Stored repetitions; development seeds, from 100 on, take other trials than published ones.
@@ -135,15 +135,17 @@ def start(
     return Prediction(of_type(PredictionConfig, config, "config"), seeds, precision_dtype(precision))
 
 
-FEED_FORWARD = PredictionConfig("feed-forward")
-LSTM = PredictionConfig("recurrent", hidden=(64,))
-CONFIGS = {
-    f"{FAMILY}/last-one": FEED_FORWARD,
-    f"{FAMILY}/last-four": replace(FEED_FORWARD, window=4),
-    f"{FAMILY}/lstm-held": LSTM,
-    f"{FAMILY}/lstm-fresh": replace(LSTM, held=False),
-    f"{FAMILY}/lstm-no-dropout": replace(LSTM, drop=0.0, input_drop=0.0),
+FEED_FORWARD = ModelConfig("feed-forward")
+LSTM = ModelConfig("recurrent", hidden=(64,))
+#: Models by name.
+MODELS = {
+    "last-one": FEED_FORWARD,
+    "last-four": replace(FEED_FORWARD, window=4),
+    "lstm-held": LSTM,
+    "lstm-fresh": replace(LSTM, held=False),
+    "lstm-no-dropout": replace(LSTM, drop=0.0, input_drop=0.0),
 }
+CONFIGS = {f"{FAMILY}/{name}": widened(PredictionConfig, model) for name, model in MODELS.items()}
 
 
 def memory(config: PredictionConfig) -> float:
