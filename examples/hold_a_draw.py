@@ -1,4 +1,4 @@
-"""An agent with a few actions holds a draw for an episode, after random moves: hold_a_draw.py CartPole-v1 150."""
+"""A draw held for an episode, by an agent with a few actions: python examples/hold_a_draw.py CartPole-v1 150."""
 
 import random
 import sys

@@ -80,8 +80,7 @@ def test_gradients_by_hand_are_those_of_autograd(activation, input_drop, dtype, 
     with torch.no_grad():
         for bias in model.net.biases:
             bias += 0.3 * torch.randn(bias.shape, generator=g, dtype=dtype)
-        # beyond the limits the gradient is 0; at them it was 1 and is 0 since PyTorch 2.15
-        model.log_noise[0, 0] = torch.tensor([-6.0, -4.9, -0.1, 0.5])
+        model.log_noise[0, 0] = torch.tensor([-6.0, -4.9, -0.1, 0.5])  # beyond the limits the gradient is 0
     noise = torch.distributions.Normal(model.net(inputs, masks), model.log_noise.clamp(*LOG_NOISE_RANGE).exp())
     constant = 4 * 0.5 * math.log(2 * math.pi)
     loss = -noise.log_prob(targets).sum(-1).mean(-1) - constant
@@ -93,6 +92,23 @@ def test_gradients_by_hand_are_those_of_autograd(activation, input_drop, dtype, 
     for parameter, gradient in zip(parameters, expected, strict=True):
         scale = gradient.abs().max().item()
         torch.testing.assert_close(parameter.grad, gradient, rtol=tolerance, atol=tolerance * scale)
+
+
+def test_noise_at_one_of_its_limits_has_the_gradient_of_noise_within():
+    """As autograd's clamp has it in PyTorch 2.13; in 2.15 it is 0 there, and noise could not leave its limit."""
+    model, (low, high) = dynamics(dtype=torch.float64), LOG_NOISE_RANGE
+    inputs, targets, masks = torch.zeros(2, 9, 6).double(), torch.ones(2, 9, 4).double(), model.draw(9, 0)
+    found = []
+    for inside in (0.0, 1e-9):
+        with torch.no_grad():
+            ends = [low - 1e-9, low + inside, high - inside, high + 1e-9]
+            model.log_noise[:] = torch.tensor(ends, dtype=torch.float64)
+        gradients(model, inputs, targets, masks, (0.0, 0.0, 0.0))
+        found.append(model.log_noise.grad[:, 0].clone())
+    at, within = found
+    assert (at[:, [0, 3]] == 0).all()
+    assert (at[:, [1, 2]] != 0).all()
+    torch.testing.assert_close(at, within, rtol=1e-6, atol=1e-6)
 
 
 def test_a_fit_learns_the_function_and_the_size_of_the_noise():
