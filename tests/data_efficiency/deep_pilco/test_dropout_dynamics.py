@@ -97,7 +97,7 @@ def test_gradients_by_hand_are_those_of_autograd(activation, input_drop, dtype, 
 def test_noise_at_one_of_its_limits_has_the_gradient_of_noise_within():
     """As autograd's clamp has it in PyTorch 2.13; in 2.15 it is 0 there, and noise could not leave its limit."""
     model, (low, high) = dynamics(dtype=torch.float64), LOG_NOISE_RANGE
-    inputs, targets, masks = torch.zeros(2, 9, 6).double(), torch.ones(2, 9, 4).double(), model.draw(9, 0)
+    inputs, targets, masks = torch.zeros(2, 9, 6).double(), torch.full((2, 9, 4), 2.0).double(), model.draw(9, 0)
     found = []
     for inside in (0.0, 1e-9):
         with torch.no_grad():
