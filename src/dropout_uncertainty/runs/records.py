@@ -6,7 +6,6 @@ what cannot be trusted is a ``RecordError`` that names the file and what to do.
 """
 
 import contextlib
-import copy
 import csv
 import datetime
 import errno
@@ -384,7 +383,7 @@ def _kept(path: Path, folder: Path) -> Record:
         raise RecordError(f"there is no record {path}") from None
     record = _verified(path, folder, (found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns))
     # the arrays cannot be written to; what else could be changed is each reader's own
-    return replace(record, header=copy.deepcopy(record.header), arrays=dict(record.arrays))
+    return replace(record, header=json.loads(json.dumps(record.header)), arrays=dict(record.arrays))
 
 
 @lru_cache(maxsize=256)

@@ -7,7 +7,7 @@ import torch
 
 from dropout_uncertainty.data_efficiency.gaussians import squared_exponential
 from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, feature_moments, sines
-from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import PosteriorMoments, SquaredExponential
+from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import SquaredExponential
 from dropout_uncertainty.data_efficiency.plant.cartpole import features
 from dropout_uncertainty.data_efficiency.policies import squash, squash_moments
 from dropout_uncertainty.rng import generator
@@ -139,10 +139,10 @@ def test_fused_second_moment_equals_the_plain_formula_and_has_its_gradient(monke
     torch.testing.assert_close(fused - prior, direct, rtol=1e-11, atol=1e-11)
     inputs = (x.mean.clone().requires_grad_(), x.cov.clone().requires_grad_())
     assert torch.autograd.gradcheck(lambda m, s: posterior.moments(Gaussian(m, symmetric(s))), inputs)
-    whole = PosteriorMoments.apply(*x, posterior)
+    whole = posterior.moments(x)
     monkeypatch.setattr(squared_exponential, "BLOCK", {"cpu": 600})
     assert len(squared_exponential._blocks(6, 23, torch.device("cpu"))) == 6
-    for got, expected in zip(PosteriorMoments.apply(*x, posterior), whole, strict=True):
+    for got, expected in zip(posterior.moments(x), whole, strict=True):
         torch.testing.assert_close(got, expected, rtol=1e-12, atol=1e-12)
 
 

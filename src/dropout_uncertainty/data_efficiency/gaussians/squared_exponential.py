@@ -3,9 +3,11 @@
 Formulas: Deisenroth, Efficient Reinforcement Learning using Gaussian Processes (2010), section 2.3 and appendix A.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -14,6 +16,7 @@ from torch.nn.functional import pad
 
 from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, Moments, identity
 
+LOG2_E = 1 / math.log(2)  # exp(x) = 2^(x log2 e), and powers of 2 take half the time
 # Numbers of a block of N x N arrays worked on at once: 1 MiB of float64, the second-level cache of a current core; on a
 # GPU few large blocks are faster than many small ones.
 BLOCK = {"cpu": 2**17, "cuda": 2**26}
@@ -75,13 +78,26 @@ class SquaredExponential:
         return centres, torch.cat((pad(weights, padding), products.flatten(2)), 1)
 
     @cached_property
+    def pair_scales(self) -> tuple[Tensor, Tensor]:
+        """The inverse squared length-scales of the two functions of each pair [R, P, D]."""
+        own, (first, second) = self.inverse_squares[:, : self.weights.shape[1]], self._pairs
+        return own[:, first], own[:, second]
+
+    @cached_property
+    def pair_weights(self) -> tuple[Tensor, Tensor]:
+        """The weights of the two functions of each pair [R, P, N]; 1 in ``curvature``'s place for f_i f_i."""
+        outputs, (first, second) = self.weights.shape[1], self._pairs
+        both = self.weights[:, first], self.weights[:, second]
+        if self.precision is None:
+            return both
+        ones = torch.ones_like(self.weights)
+        return torch.cat((ones, both[0][:, outputs:]), 1), torch.cat((ones, both[1][:, outputs:]), 1)
+
+    @cached_property
     def curvature(self) -> Tensor:
-        """Per pair of outputs i <= j, the outer product of weights, less the precision where i = j [R, P, N, N]."""
-        first, second = self._pairs
-        product = self.weights[:, first, :, None] * self.weights[:, second, None]
-        if self.precision is not None:
-            product[:, _pair_numbers(self.weights.shape[1], product.device).diagonal()] -= self.precision
-        return product
+        """Per output the outer product of its weights less its precision [R, E, N, N]."""
+        product = self.weights[..., :, None] * self.weights[..., None, :]
+        return product if self.precision is None else product - self.precision
 
     @property
     def _pairs(self) -> tuple[Tensor, Tensor]:
@@ -118,11 +134,61 @@ class SquaredExponential:
 
         Gradients with respect to the functions' own parameters exist only without ``precision``, unless ``fixed``.
         """
-        if self.precision is None and not self.fixed:
-            mean, slope, square = _mixture_moments(self, *x)
-        else:
-            mean, slope, square = PosteriorMoments.apply(*x, self)
-        return Moments(mean, square - mean[..., :, None] * mean[..., None, :], slope)
+        values, sums = self.values(x)
+        asked = torch.is_grad_enabled() and any(part.requires_grad for part in x)
+        return Linearised(values, self.jacobian(x, sums) if asked else None).moments(x)
+
+    def values(self, x: Gaussian) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Return the values of ``Linearised`` for a Gaussian input, and the sums over centres that ``jacobian`` needs.
+
+        The values have gradients with respect to the functions' own parameters where ``moments`` has them.
+        """
+        plain = self.precision is None and not self.fixed
+        return _mixture_values(self, x) if plain else _posterior_values(self, x)
+
+    def jacobian(self, x: Gaussian, sums: tuple[Tensor, ...]) -> Tensor:
+        """Return the derivatives of ``Linearised``, for inputs [R, ...] or for those of several times [R, T, ...]."""
+        with torch.no_grad():
+            plain = self.precision is None and not self.fixed
+            return _mixture_jacobian(self, x) if plain else _posterior_jacobian(self, x, *sums)
+
+
+class Linearised(NamedTuple):
+    """Values of E functions of a Gaussian's mean and covariance, and their derivatives.
+
+    ``values`` [..., E + E D + E^2] are the means of the functions, their slopes in D inputs and the second moments
+    ``E f f'``; ``jacobian`` [..., E + E D + E^2, D + D^2] is None if nobody asked for it.
+    """
+
+    values: Tensor
+    jacobian: Tensor | None
+
+    def moments(self, x: Gaussian) -> Moments:
+        """Return the moments for the Gaussian input that this was worked out for, with its gradients in x."""
+        dim, count, values = x.mean.shape[-1], self.values.shape[-1], self.values
+        outputs = next(e for e in range(1, count) if e * (1 + dim + e) == count)
+        if self.jacobian is not None:
+            values = _Known.apply(*x, values, self.jacobian)
+        mean, slope, square = values.split((outputs, outputs * dim, outputs**2), -1)
+        cov = square.unflatten(-1, (outputs, outputs)) - mean[..., :, None] * mean[..., None, :]
+        return Moments(mean, cov, slope.unflatten(-1, (outputs, dim)).mT)
+
+
+class _Known(torch.autograd.Function):
+    """Values that are known already, as a function of mean and covariance of which the derivatives are, too."""
+
+    @staticmethod
+    def forward(ctx: Any, mean: Tensor, cov: Tensor, values: Tensor, jacobian: Tensor) -> Tensor:
+        ctx.save_for_backward(jacobian)
+        return values.view_as(values)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, Tensor, None]:
+        (jacobian,) = ctx.saved_tensors
+        dim = int(jacobian.shape[-1] ** 0.5)  # D + D^2 columns
+        in_mean, in_cov = (gradient[..., None, :] @ jacobian)[..., 0, :].split((dim, dim * dim), -1)
+        return in_mean, in_cov.reshape(*in_mean.shape, dim), gradient, None
 
 
 def squared_exponential(x: Tensor, y: Tensor, log_length_scales: Tensor, log_signal_std: Tensor) -> Tensor:
@@ -134,102 +200,159 @@ def squared_exponential(x: Tensor, y: Tensor, log_length_scales: Tensor, log_sig
     return torch.exp(2 * log_signal_std[..., None, None] - distance / 2)
 
 
-def _mixture_moments(f: SquaredExponential, mean: Tensor, cov: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return mean [R, E], slope [R, D, E] and E f f' [R, E, E], with gradients with respect to everything."""
-    (centres, weights), root, outputs = f.terms, f.roots, f.weights.shape[1]
-    inverse, log_det = spd_inverse(_system(cov, root))
-    z = centres - (mean[:, None] * root)[..., None, :]  # [R, E + P, K, D], in length-scales
+def _over(x: Gaussian, *parts: Tensor) -> tuple[Tensor, ...]:
+    """Return what belongs to replicas, with a time axis if x has one."""
+    return parts if x.mean.ndim == 2 else tuple(part[:, None] for part in parts)
+
+
+def _mixture(f: SquaredExponential, x: Gaussian) -> tuple[Tensor, ...]:
+    """Return height [..., E + P, K], pull [..., E + P, K, D] and metric of ``f.terms``, and the root of each."""
+    centres, weights, root = _over(x, *f.terms, f.roots)
+    inverse, log_det = spd_inverse(_system(x.cov[..., None, :, :], root))
+    z = centres - (x.mean[..., None, :] * root)[..., None, :]  # in length-scales
     pull = z @ inverse
-    height = torch.exp((log_det[..., None] + (z * pull).sum(-1)) / -2) * weights
+    return torch.exp((log_det[..., None] + (z * pull).sum(-1)) / -2) * weights, pull, inverse, root
+
+
+def _mixture_values(f: SquaredExponential, x: Gaussian) -> tuple[Tensor, tuple[()]]:
+    height, pull, _, root = _mixture(f, Gaussian(x.mean.detach(), x.cov.detach()))
+    own, outputs = slice(f.weights.shape[1]), f.weights.shape[1]
     value = height.sum(-1)
-    slope = (height[:, :outputs, None] @ pull[:, :outputs])[..., 0, :] * root[:, :outputs]
-    return value[:, :outputs], slope.mT, value[:, outputs + _pair_numbers(outputs, mean.device)]
+    slope = (height[..., own, None, :] @ pull[..., own, :, :])[..., 0, :] * root[..., own, :]
+    square = value[..., outputs + _pair_numbers(outputs, value.device).flatten()]
+    return torch.cat((value[..., own], slope.flatten(-2), square), -1), ()
 
 
-class PosteriorMoments(torch.autograd.Function):
-    """Mean, slope and second moment ``E f f'`` under a Gaussian input and the posterior over f.
+def _mixture_jacobian(f: SquaredExponential, x: Gaussian) -> Tensor:
+    height, pull, inverse, root = _mixture(f, x)
+    pull, metric = pull * root[..., None, :], inverse * root[..., :, None] * root[..., None, :]
+    first, second = _derivatives(height, pull, metric)
+    outputs, count = f.weights.shape[1], f.centres.shape[1]  # behind these the functions have terms of weight 0
+    own, some = slice(outputs), slice(count)
+    third = _third_derivatives(height[..., own, some], pull[..., own, some, :], metric[..., own, :, :])
+    pairs = outputs + _pair_numbers(outputs, height.device).flatten()
+    return _jacobian(
+        first[..., own, :], second[..., own, :, :], third, first[..., pairs, :], second[..., pairs, :, :] / 2
+    )
 
-    This is the part of PILCO that grows with N^2, so value and gradient are worked out by hand in one pass. A
-    mean value ``g(m, S)`` over a Gaussian has ``dg/dm = slope`` and ``dg/dS`` half its second derivative in m;
-    those of g are sums over centres. For outputs i <= j the second moment sums
-    ``W_nm = curvature_nm exp(e_nm)``, e a quadratic form in the differences ``z_n, z_m`` of the centres to m.
-    All that its gradient needs are sums of ``W``, ``W z`` and ``z W z'``, taken while a block of W is in the
-    cache, so that no N x N array is kept. Only mean and covariance of the input get gradients.
+
+def _posterior(f: SquaredExponential, x: Gaussian) -> tuple[Tensor, ...]:
+    """Return height [..., E, N], pull [..., E, N, D], metric, and (I + cov total)^-1 with log determinant."""
+    total, root, centres, signal, weights = _over(
+        x, f.inverse_squares, f.roots, f.centres, 2 * f.log_signal_std, f.weights
+    )
+    own = slice(f.weights.shape[1])
+    inverse, log_det = _spd_inverse(_system(x.cov[..., None, :, :], root))
+    shrink = inverse / root[..., :, None] * root[..., None, :]
+    metric = shrink[..., own, :, :].mT * total[..., own, None, :]  # (cov + squared length-scales)^-1
+    z = (centres - x.mean[..., None, :])[..., None, :, :]
+    pull = z @ metric
+    height = torch.exp((signal - log_det[..., own] / 2)[..., None] - (pull * z).sum(-1) / 2) * weights
+    return height, pull, metric, shrink, log_det
+
+
+def _posterior_values(f: SquaredExponential, x: Gaussian) -> tuple[Tensor, tuple[Tensor, ...]]:
+    """Return the values under a Gaussian input and the posterior over f, and sums over pairs of centres.
+
+    The second moments are the part of PILCO that grows with N^2. For outputs i <= j one sums
+    ``W_nm = curvature_nm exp(e_nm)``, e a quadratic form in the differences ``z_n, z_m`` of the centres to the mean.
+    All that its derivatives need are sums of ``W``, ``W z`` and ``z W z'``, taken while a block of W is in the cache,
+    so that no N x N array is kept. Where the curvature is a product of weights alone, these are left out of W.
     """
-
-    @staticmethod
-    def forward(ctx: Any, mean: Tensor, cov: Tensor, f: SquaredExponential) -> tuple[Tensor, Tensor, Tensor]:
-        """Return mean [R, E], slope [R, D, E], second moment [R, E, E]; keep what their gradients need."""
-        total, root, outputs = f.inverse_squares, f.roots, f.weights.shape[1]
-        inverse, log_det = _spd_inverse(_system(cov, root))
-        shrink = inverse / root[..., :, None] * root[..., None, :]  # (I + cov total)^-1
-        z = f.centres - mean[:, None]
-
-        metric = shrink[:, :outputs].mT * total[:, :outputs, None]  # (cov + squared length-scales)^-1
-        pull = z[:, None] @ metric  # [R, E, N, D]
-        exponent = 2 * f.log_signal_std - log_det[:, :outputs] / 2
-        height = torch.exp(exponent[..., None] - (pull * z[:, None]).sum(-1) / 2) * f.weights
-        slope = (height[..., None, :] @ pull)[..., 0, :]
-        bend = pull.mT @ (height[..., None] * pull) - height.sum(-1)[..., None, None] * metric
-
-        value, d_mean, d_cov = _pair_sums(f, z, cov, total[:, outputs:], shrink[:, outputs:], log_det[:, outputs:])
-        ctx.save_for_backward(d_mean, d_cov, slope, bend, pull, height, metric)
-        square = value[:, _pair_numbers(outputs, mean.device)]
-        if f.precision is not None:
-            square.diagonal(dim1=-2, dim2=-1).add_(torch.exp(2 * f.log_signal_std))
-        return height.sum(-1), slope.mT, square
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, g_mean: Tensor, g_slope: Tensor, g_square: Tensor) -> tuple[Tensor, Tensor, None]:
-        """Contract the kept derivatives; the third derivative of g only along the slope's gradient."""
-        d_mean, d_cov, slope, bend, pull, height, metric = ctx.saved_tensors
-        first, second = _pairs(g_mean.shape[-1], g_mean.device)
-        share = (g_square + g_square.mT)[:, first, second] * torch.where(first == second, 0.5, 1.0)
-        along = g_slope.mT[..., None]  # [R, E, D, 1]
-        weight = height[..., None] * (pull @ along)  # [R, E, N, 1]
-        side = (metric @ along) * slope[..., None, :]
-        third = pull.mT @ (weight * pull) - weight.sum(-2, keepdim=True) * metric - side - side.mT
-        curved = (g_mean[..., None, None] * bend + third).sum(1) / 2
-        in_mean = (g_mean[..., None] * slope + (bend @ along)[..., 0]).sum(1) + (share[..., None] * d_mean).sum(1)
-        return in_mean, curved + (share[..., None, None] * d_cov).sum(1), None
+    x, outputs = Gaussian(x.mean.detach(), x.cov.detach()), f.weights.shape[1]
+    height, pull, _, shrink, log_det = _posterior(f, x)
+    sums = _pair_sums(f, x, shrink[:, outputs:], log_det[:, outputs:])
+    square = sums[0][:, _pair_numbers(outputs, height.device).flatten(), 0, 0]
+    if f.precision is not None:
+        square[:, :: outputs + 1] += torch.exp(2 * f.log_signal_std)
+    slope = (height[..., None, :] @ pull)[..., 0, :]
+    return torch.cat((height.sum(-1), slope.flatten(1), square), -1), sums
 
 
-def _pair_sums(
-    f: SquaredExponential, z: Tensor, cov: Tensor, total: Tensor, shrink: Tensor, log_det: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return sum W [R, P] per pair of outputs and its gradients in mean [R, P, D] and covariance [R, P, D, D]."""
-    inverse_square, (first, second) = f.inverse_squares[:, : f.weights.shape[1]], f._pairs
-    li, lj = inverse_square[:, first], inverse_square[:, second]
-    scaled = z[:, None] * inverse_square[..., None, :]  # [R, E, N, D]
-    log_height = 2 * f.log_signal_std[..., None] - (scaled * z[:, None]).sum(-1) / 2
-    left, right, gain = scaled[:, first], scaled[:, second], shrink @ cov[:, None]
-    bent = left @ gain
-    own = log_height[:, first] + ((bent * left).sum(-1) - log_det[..., None]) / 2
-    other = log_height[:, second] + ((right @ gain) * right).sum(-1) / 2
-    ones = torch.ones_like(own[..., None])
-    row = torch.cat((bent, own[..., None], ones), -1).flatten(0, 1)
-    column = torch.cat((right, ones, other[..., None]), -1).flatten(0, 1).mT
-    basis = torch.cat((torch.ones_like(z[..., :1]), z), -1)  # [R, N, 1 + D]
-    basis = basis[:, None].expand(-1, len(first), -1, -1).flatten(0, 1)
-
-    product, over_n = torch.empty_like(basis), torch.empty_like(basis[..., 0])
-    curvature = f.curvature.flatten(0, 1)
-    count, size = over_n.shape
-    for block in _blocks(count, size, z.device):
-        w = torch.bmm(row[block], column[block]).exp_().mul_(curvature[block])
-        torch.bmm(w, basis[block], out=product[block])
-        torch.sum(w, -2, out=over_n[block])
-    sums = (basis.mT @ product).unflatten(0, own.shape[:2])  # sums of W basis_n basis_m'
-    spread_n = (z.mT[:, None] * product[..., 0].unflatten(0, own.shape[:2])[..., None, :]) @ z[:, None]
-    spread_m = (z.mT[:, None] * over_n.unflatten(0, own.shape[:2])[..., None, :]) @ z[:, None]
-
-    value = sums[..., 0, 0]
-    linear = li * sums[..., 1:, 0] + lj * sums[..., 0, 1:]
-    mixed = li[..., :, None] * sums[..., 1:, 1:] * lj[..., None, :]
-    square = li[..., :, None] * spread_n * li[..., None, :] + lj[..., :, None] * spread_m * lj[..., None, :]
+def _posterior_jacobian(f: SquaredExponential, x: Gaussian, sums: Tensor, spread_n: Tensor, spread_m: Tensor) -> Tensor:
+    height, pull, metric, shrink, _ = _posterior(f, x)
+    first, second = _derivatives(height, pull, metric)
+    third, outputs = _third_derivatives(height, pull, metric), f.weights.shape[1]
+    total, left, right = _over(x, f.inverse_squares[:, outputs:], *f.pair_scales)
+    shrink, value = shrink[..., outputs:, :, :], sums[..., 0, 0]
+    linear = left * sums[..., 1:, 0] + right * sums[..., 0, 1:]
+    mixed = left[..., :, None] * sums[..., 1:, 1:] * right[..., None, :]
+    square = left[..., :, None] * spread_n * left[..., None, :] + right[..., :, None] * spread_m * right[..., None, :]
     d_cov = shrink.mT @ (square + mixed + mixed.mT) @ shrink - value[..., None, None] * total[..., :, None] * shrink
-    return value, (linear[..., None, :] @ shrink)[..., 0, :], d_cov / 2
+    pairs = _pair_numbers(outputs, value.device).flatten()
+    d_mean = (linear[..., None, :] @ shrink)[..., 0, :]
+    return _jacobian(first, second, third, d_mean[..., pairs, :], d_cov[..., pairs, :, :] / 2)
+
+
+# A mean value g(m, S) over a Gaussian has dg/dm, its slope, and dg/dS, half its second derivative in m. Those of g
+# here are sums over centres: with heights h_n and p_n = metric (centre_n - m) the first is sum h p, the second
+# sum h (p p' - metric), and so on.
+
+
+def _derivatives(height: Tensor, pull: Tensor, metric: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the first and second derivatives in the mean, [..., D] and [..., D, D]."""
+    weighted = height[..., None] * pull
+    return weighted.sum(-2), pull.mT @ weighted - height.sum(-1)[..., None, None] * metric
+
+
+def _third_derivatives(height: Tensor, pull: Tensor, metric: Tensor) -> Tensor:
+    """Return the third derivatives in the mean [..., D, D, D]."""
+    weighted = height[..., None] * pull
+    raw = torch.stack([(weighted[..., d : d + 1] * pull).mT @ pull for d in range(pull.shape[-1])], -3)
+    side = weighted.sum(-2)[..., :, None, None] * metric[..., None, :, :]
+    return raw - side - side.transpose(-3, -2) - side.transpose(-3, -1)
+
+
+def _jacobian(first: Tensor, second: Tensor, third: Tensor, d_mean: Tensor, d_cov: Tensor) -> Tensor:
+    """Return the derivatives of mean, slope and second moment in the input's mean and covariance, as one matrix."""
+    in_mean = torch.cat((first, second.flatten(-3, -2), d_mean), -2)
+    in_cov = torch.cat((second.flatten(-2) / 2, third.flatten(-4, -3).flatten(-2) / 2, d_cov.flatten(-2)), -2)
+    return torch.cat((in_mean, in_cov), -1)
+
+
+def _pair_sums(f: SquaredExponential, x: Gaussian, shrink: Tensor, log_det: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return per pair of outputs the sums of W basis_n basis_m', basis (1, z), and of W z_n z_n' and W z_m z_m'."""
+    first, second = f._pairs
+    left_scale, right_scale = f.pair_scales
+    z = f.centres - x.mean[:, None]
+    left, right = z[:, None] * left_scale[..., None, :], z[:, None] * right_scale[..., None, :]
+    gain = shrink @ x.cov[:, None]
+    bent = left @ gain
+    height = 2 * f.log_signal_std
+    own = (height[:, first] - log_det / 2)[..., None] + ((bent - z[:, None]) * left).sum(-1) / 2
+    other = height[:, second, None] + ((right @ gain - z[:, None]) * right).sum(-1) / 2
+    ones = torch.ones_like(own[..., None])
+    row = torch.cat((bent, own[..., None], ones), -1) * LOG2_E
+    column = torch.cat((right, ones, other[..., None]), -1).mT
+    basis = torch.cat((ones[:, :1], z[:, None]), -1)  # [R, 1, N, 1 + D]
+    outer, inner = f.pair_weights
+    factors = row, column, outer, inner[..., None] * basis
+    if f.precision is None:
+        product, over_n = _sums(factors)
+    else:
+        outputs = f.weights.shape[1]
+        squares = _sums([part[:, :outputs] for part in factors], f.curvature)
+        mixed = _sums([part[:, outputs:] for part in factors])
+        product, over_n = (torch.cat(parts, 1) for parts in zip(squares, mixed, strict=True))
+    product, over_n, z = outer[..., None] * product, inner * over_n, z[:, None]
+    return basis.mT @ product, (z * product[..., :1]).mT @ z, (z * over_n[..., None]).mT @ z
+
+
+def _sums(factors: Sequence[Tensor], curvature: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Return ``W inner`` [R, P, N, 1 + D] and ``outer' W`` [R, P, N] for ``W_nm = curvature_nm 2^(row_n column_m)``.
+
+    The factors are row [R, P, N, 2 + D], column [R, P, 2 + D, N], outer [R, P, N] and inner [R, P, N, 1 + D].
+    """
+    shape = factors[0].shape[:2]
+    row, column, outer, inner = (part.flatten(0, 1) for part in factors)
+    over_m, over_n = torch.empty_like(inner), torch.empty_like(outer)
+    for block in _blocks(len(outer), outer.shape[1], outer.device):
+        w = torch.bmm(row[block], column[block]).exp2_()
+        if curvature is not None:
+            w *= curvature.flatten(0, 1)[block]
+        torch.bmm(w, inner[block], out=over_m[block])
+        torch.bmm(outer[block, None], w, out=over_n[block, None])
+    return over_m.unflatten(0, shape), over_n.unflatten(0, shape)
 
 
 def spd_inverse(matrix: Float[Tensor, "*batch D D"]) -> tuple[Float[Tensor, "*batch D D"], Float[Tensor, "*batch"]]:
@@ -269,16 +392,15 @@ def _spd_inverse(matrix: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _system(cov: Tensor, root: Tensor) -> Tensor:
-    """Return I + diag(root) cov diag(root) [R, ..., D, D] for cov [R, D, D] and root [R, ..., D]."""
-    cov = cov.reshape(len(cov), *(1,) * (root.ndim - 2), *cov.shape[1:])
+    """Return I + diag(root) cov diag(root) [..., D, D] for cov [..., D, D] and root [..., D]."""
     return identity(cov.shape[-1], cov.dtype, cov.device) + root[..., :, None] * cov * root[..., None, :]
 
 
 @cache
 def _pairs(outputs: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Return the output pairs i <= j."""
-    first, second = torch.triu_indices(outputs, outputs, device=device)
-    return first, second
+    """Return the output pairs i <= j, those of i = j first."""
+    same, (first, second) = torch.arange(outputs, device=device), torch.triu_indices(outputs, outputs, 1, device=device)
+    return torch.cat((same, first)), torch.cat((same, second))
 
 
 @cache

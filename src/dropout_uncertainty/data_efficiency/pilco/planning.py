@@ -7,13 +7,14 @@ The model is evaluated on the device that holds its data; parameters stay on the
 """
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Generator, Tensor
 
-from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, appended, feature_moments
-from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import SquaredExponential
+from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, Moments, appended, feature_moments, identity
+from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import Linearised, SquaredExponential
 from dropout_uncertainty.data_efficiency.minimise.batched import Minimum, minimise
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole, features
@@ -21,6 +22,14 @@ from dropout_uncertainty.data_efficiency.plant.cost import cost, cost_moments
 from dropout_uncertainty.data_efficiency.policies import Layout, Policy, RBFPolicy, force, force_moments
 
 DIM = len(FEATURE_NAMES)
+
+
+@runtime_checkable
+class Model(Protocol):
+    """What a prediction asks of the dynamics: how the state changes, given features and force as a Gaussian."""
+
+    def moments(self, x: Gaussian) -> Moments:
+        """Return the moments of the change of state [R, 4]."""
 
 
 def transitions(observed: Float[Tensor, "R times 4"], forces: Float[Tensor, "R steps"]) -> tuple[Tensor, Tensor]:
@@ -33,7 +42,7 @@ def transitions(observed: Float[Tensor, "R times 4"], forces: Float[Tensor, "R s
     return inputs, (observed[:, 1:] - observed[:, :-1]).mT
 
 
-def propagate(model: SquaredExponential, policy: Policy, limit: float, state: Gaussian) -> Gaussian:
+def propagate(model: Model, policy: Policy, limit: float, state: Gaussian) -> Gaussian:
     """Return the distribution of the next state (x, v, w, theta): features, policy, squash, dynamics, sum.
 
     The model's noise is not added to the state, as in the original (pilco-matlab, base/propagated.m).
@@ -46,9 +55,7 @@ def propagate(model: SquaredExponential, policy: Policy, limit: float, state: Ga
     return Gaussian(state.mean + change.mean, state.cov + change.cov + shared + shared.mT)
 
 
-def predict(
-    model: SquaredExponential, policy: Policy, plant: CartPole, start: Gaussian, steps: int | None = None
-) -> Gaussian:
+def predict(model: Model, policy: Policy, plant: CartPole, start: Gaussian, steps: int | None = None) -> Gaussian:
     """Return the predicted state distributions of times 0 ... T: mean [R, T + 1, 4] and covariance [R, T + 1, 4, 4].
 
     Raises:
@@ -103,13 +110,56 @@ class PolicyShape(Layout):
 def objective(
     model: SquaredExponential, plant: CartPole, shape: PolicyShape, parameters: Float[Tensor, "R P"]
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, "R P"]]:
-    """Return the predicted sum of expected costs over times 1 ... T and its gradient in the policy's parameters."""
+    """Return the predicted sum of expected costs over times 1 ... T and its gradient in the policy's parameters.
+
+    The trial is predicted without autograd; then the derivatives of all steps are worked out side by side, so that only
+    a product of small matrices is left to do for each step, backwards.
+    """
     leaf = parameters.detach().to(model.centres).requires_grad_()
+    memory = _Memory(model)
+    with torch.no_grad():
+        states = predict(memory, shape.policy(leaf), plant, start_distribution(plant, len(leaf), leaf.device))
     with torch.enable_grad():
-        states = predict(model, shape.policy(leaf), plant, start_distribution(plant, len(leaf), leaf.device))
+        mean, cov = (part.requires_grad_() for part in states)
         total = expected_costs(plant, states).sum(-1)
-        (gradient,) = torch.autograd.grad(total.sum(), leaf)
+        costs = _flat(*torch.autograd.grad(total.sum(), (mean, cov)))[:, 1:]
+        before = Gaussian(*(part[:, :-1].detach().requires_grad_() for part in states))
+        after = _flat(*propagate(memory.recalled(), shape.policy(leaf), plant.force_limit, before))
+        each = identity(after.shape[-1], after.dtype, after.device)[:, None, None].expand(-1, *after.shape)
+        rows = _flat(*torch.autograd.grad(after, before, each, is_grads_batched=True, retain_graph=True))
+        (gradient,) = torch.autograd.grad(after, leaf, _adjoints(costs, rows.movedim(0, -2)))
     return total.detach(), gradient
+
+
+def _flat(mean: Tensor, cov: Tensor) -> Tensor:
+    return torch.cat((mean, cov.flatten(-2)), -1)
+
+
+def _adjoints(costs: Float[Tensor, "R T S"], steps: Float[Tensor, "R T S S"]) -> Float[Tensor, "R T S"]:
+    """Return how the sum of costs changes with the states 1 ... T, from how each cost and each next state does."""
+    found = [costs[:, -1]]
+    for t in reversed(range(1, costs.shape[1])):
+        found.append(costs[:, t - 1] + (found[-1][:, None] @ steps[:, t])[:, 0])
+    return torch.stack(found[::-1], 1)
+
+
+class _Memory:
+    """A model that keeps what it was asked and what it said at each step, to give the derivatives of all at once."""
+
+    def __init__(self, model: SquaredExponential) -> None:
+        self.model = model
+        self.kept: list[tuple[Tensor, ...]] = []
+
+    def moments(self, x: Gaussian) -> Moments:
+        """Return the moments of the next step's change."""
+        values, sums = self.model.values(x)
+        self.kept.append((*x, values, *sums))
+        return Linearised(values, None).moments(x)
+
+    def recalled(self) -> Linearised:
+        """Return what was said and its derivatives, with a time axis behind that of the replicas."""
+        mean, cov, values, *sums = (torch.stack(part, 1) for part in zip(*self.kept, strict=True))
+        return Linearised(values, self.model.jacobian(Gaussian(mean, cov), tuple(sums)))
 
 
 def predict_points(
