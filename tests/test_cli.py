@@ -61,6 +61,10 @@ def test_results_are_json_with_the_agreed_fields():
     assert {"table-5.1/random", "table-5.2/dropout/bald", "table-5.1/random/minimum", "statement/AL1a"} <= set(
         identifiers
     )
+    lines = dict(line.split(": ", 1) for line in command("results").stdout.splitlines())
+    paired = [result for result in found if result.get("n", len(result["seeds"])) < len(result["seeds"])]
+    assert paired, "a statement on pairs has fewer of them than its rows have seeds"
+    assert all(f"; {result['n']} seeds)" in lines[result["id"]] for result in paired)
 
 
 def test_a_broken_record_is_named(tmp_path):

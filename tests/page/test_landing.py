@@ -56,8 +56,8 @@ def test_the_tally_counts_statements_by_kind(results):
 #: What the sentences of the first page were written for. Where this changes, write them again.
 HEADLINES = {
     "AL3f": "no difference", "AL3g": "inconclusive", "AL7a": "confirmed", "AL7b": "confirmed", "AL8a": "confirmed",
-    "EX3a": "supported", "EX3e": "refuted", "EX4": "refuted", "EX7e": "supported", "EX7f": "contradicted",
-    "DE2d": "supported", "DE3h": "contradicted",
+    "AL11d": "contradicted", "EX3a": "supported", "EX3e": "refuted", "EX4": "refuted", "EX7e": "supported",
+    "EX7f": "contradicted", "DE2d": "supported", "DE3h": "contradicted",
     "DE6b": "supported", "DE6c": "no difference", "DE7a": "supported", "DE7b": "supported", "DE11a": "contradicted",
 }  # fmt: skip
 
@@ -142,7 +142,7 @@ def test_the_first_page_uses_every_fact_and_no_other(facts):
 ADVICE = {
     "AL3e": "untested", "AL3f": "no difference", "AL3g": "inconclusive", "AL4a": "supported", "AL4b": "contradicted",
     "AL5b": "untested", "AL5c": "supported", "AL5e": "supported", "AL5f": "supported", "AL7a": "confirmed",
-    "AL7b": "confirmed", "AL9c": "supported", "AL11": "untested", "AL11b": "supported",
+    "AL7b": "confirmed", "AL9c": "supported", "AL11": "supported", "AL11b": "supported", "AL11d": "contradicted",
     "AL11i": "untested", "AL11l": "untested",
     "EX2d": "supported", "EX5a": "supported", "EX5b": "supported", "EX6c": "contradicted", "EX7a": "inconclusive",
     "EX7b": "contradicted", "EX7f": "contradicted", "EX9": "contradicted", "DE1a": "supported", "DE2d": "supported",

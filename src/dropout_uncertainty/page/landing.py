@@ -139,6 +139,11 @@ def _entropy(acquired: tuple[int, int], folder: Path | None) -> str:
     return in_words(active_learning.paired_error(draws, single, *acquired))
 
 
+def _difference(identifier: str, folder: Path | None) -> str:
+    """Return what a statement compares; raises NotRun without records."""
+    return in_words(STATEMENTS[identifier].measure(folder).ours)
+
+
 def _entropy_steps(family: str, name: str, folder: Path | None) -> str:
     """Return how many acquisitions a row chosen by an entropy needs to 5 % test error."""
     (row,) = _rows(family, folder, name)
@@ -214,13 +219,13 @@ def _verdict(identifier: str, folder: Path | None) -> str:
 
 #: The statements whose verdicts the sentences of the first page give.
 SAID = (
-    "AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "EX3a", "EX3e", "EX4", "EX7e", "EX7f", "DE2d", "DE3h", "DE6b", "DE6c",
-    "DE7a", "DE7b", "DE11a",
+    "AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "AL11d", "EX3a", "EX3e", "EX4", "EX7e", "EX7f", "DE2d", "DE3h", "DE6b",
+    "DE6c", "DE7a", "DE7b", "DE11a",
 )  # fmt: skip
 #: The statements on which the lines of the page "What to use when" rest.
 USED = (
     "AL3e", "AL3f", "AL3g", "AL4a", "AL4b", "AL5b", "AL5c", "AL5e", "AL5f", "AL7a", "AL7b", "AL9c", "AL11",
-    "AL11b", "AL11i", "AL11l", "EX2d", "EX5a", "EX5b", "EX6c", "EX7a", "EX7b", "EX7f", "EX9", "DE1a", "DE2d",
+    "AL11b", "AL11d", "AL11i", "AL11l", "EX2d", "EX5a", "EX5b", "EX6c", "EX7a", "EX7b", "EX7f", "EX9", "DE1a", "DE2d",
     "DE2g", "DE3h", "DE4a", "DE4d", "DE5b", "DE5d", "DE6b", "DE6c", "DE7a", "DE7b", "DE7c", "DE8a", "DE8d",
     "DE9a", "DE9b", "DE13", "DE13b", "DE13e", "DE13f", "DE14a", "DE15",
 )  # fmt: skip
@@ -232,6 +237,8 @@ FACTS: Mapping[str, Callable[[Path | None], str]] = {
     "entropy_steps_draws": lambda folder: _entropy_steps("ours", "dropout/max-entropy", folder),
     "entropy_steps": lambda folder: _entropy_steps("ours", "softmax/max-entropy", folder),
     "entropy_steps_recorded": lambda folder: _entropy_steps("as-recorded", "softmax/max-entropy", folder),
+    "ambiguous_bald": lambda folder: _difference("AL11", folder),
+    "ambiguous_entropy": lambda folder: _difference("AL11d", folder),
     "cells_minimum": lambda folder: _printed_cells("minimum"),
     "cells_last": lambda folder: _printed_cells("last"),
     "greedy_early": lambda folder: _greedy(EARLY, folder),
