@@ -5,8 +5,7 @@
 #   to be a vmap over the gradients.
 # Seen: in 2.13.0 and 2.15.0 it is an older vmap with rules of its own. A backward pass with `Tensor.unflatten` raises
 #   RuntimeError ("Batching rule not implemented for aten::unflatten.int") where `torch.func.vmap` takes the same backward
-#   pass; with `reshape` in the place of `unflatten` both take it and agree. Nothing says so where unflatten is autograd's
-#   own, since its backward pass is a reshape.
+#   pass; with `reshape` in the place of `unflatten` both take it and agree.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -12,6 +12,8 @@ import pytest
 
 HTML = Path(__file__).parents[1] / "_build" / "html"
 
+PATIENCE = 120_000  # ms, for a machine that is busy with something else
+
 #: Chromium by the names that systems give it; Playwright would otherwise look for one that it downloads.
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import pytest
-from browser import HTML, built_pages, chromium, served
+from browser import HTML, PATIENCE, built_pages, chromium, served
 
 from dropout_uncertainty.page.curve_toggles import Curves
 
@@ -17,7 +17,6 @@ PAPER = {"width": 718, "height": 1047}  # A4 within margins of 1 cm
 GUIDELINES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
 COLOUR_RULES = ["color-contrast", "link-in-text-block"]  # nothing else changes with the colours
 MEGABYTE = 2**20
-PATIENCE = 120_000  # ms, for a machine that is busy with something else
 MATHJAX = "/mathjax/"
 
 

@@ -2,16 +2,13 @@
 
 import json
 import re
-import shutil
-import subprocess
 
 import pytest
+from browser import PATIENCE, chromium
 from bs4 import BeautifulSoup
 
 from dropout_uncertainty.page.svg import circle, line, polygon, text
 from dropout_uncertainty.page.svg_animation import Player
-
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
 def ball(frame):
@@ -107,33 +104,29 @@ setTimeout(() => { expect("played to its end", "30,<3>,3,3,Play");
 </script>"""
 
 
-#: Reports all the time how far the animation has got by itself; when a browser looks what is in view is its own affair.
-WAIT = """<script>setInterval(() => { document.title = document.querySelector("input").value; }, 100)</script>"""
-
-
 @pytest.fixture
-def title(player, tmp_path):
-    """Return a function that shows the player and a script in a browser and returns the title of the page."""
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium")
-    page = tmp_path / "page.html"
+def opened(player, tmp_path):
+    """Return a function that opens the player, with a script behind it, in a browser of such a reader."""
+    with chromium() as browser:
 
-    def show(script, *options):
-        page.write_text(f'<!doctype html><meta charset="utf-8">{player._repr_html_()}{script}', encoding="utf-8")
-        command = [
-            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}",
-            "--virtual-time-budget=20000", "--dump-dom", *options, page.as_uri(),
-        ]  # fmt: skip
-        outcome = subprocess.run(command, capture_output=True, text=True, timeout=180, check=True)
-        return BeautifulSoup(outcome.stdout, "html.parser").title.string
+        def show(script="", **reader):
+            place = tmp_path / "page.html"
+            place.write_text(f'<!doctype html><meta charset="utf-8">{player._repr_html_()}{script}', encoding="utf-8")
+            page = browser.new_page(**reader)
+            page.goto(place.as_uri())
+            return page
 
-    return show
+        yield show
 
 
-def test_in_a_browser_it_plays_steps_and_goes_back(title):
-    assert title(READER, "--force-prefers-reduced-motion") == "as expected"
+def test_in_a_browser_it_plays_steps_and_goes_back(opened):
+    page = opened(READER, reduced_motion="reduce")
+    page.wait_for_function("document.title", timeout=PATIENCE)
+    assert page.title() == "as expected"
 
 
-def test_starts_by_itself_but_for_readers_who_want_less_motion(title):
-    assert any(title(WAIT) == "3" for _ in range(5))  # on a busy machine the browser may draw nothing in its time
-    assert title(WAIT, "--force-prefers-reduced-motion") == "0"
+def test_starts_by_itself_but_for_readers_who_want_less_motion(opened):
+    still = opened(reduced_motion="reduce")
+    opened().wait_for_function("document.querySelector('input').value === '3'", timeout=PATIENCE)
+    still.wait_for_timeout(1000)  # five times as long as it takes to play
+    assert still.input_value("input") == "0"

@@ -139,11 +139,6 @@ def _entropy(acquired: tuple[int, int], folder: Path | None) -> str:
     return in_words(active_learning.paired_error(draws, single, *acquired))
 
 
-def _difference(identifier: str, folder: Path | None) -> str:
-    """Return what a statement compares; raises NotRun without records."""
-    return in_words(STATEMENTS[identifier].measure(folder).ours)
-
-
 def _entropy_steps(family: str, name: str, folder: Path | None) -> str:
     """Return how many acquisitions a row chosen by an entropy needs to 5 % test error."""
     (row,) = _rows(family, folder, name)
@@ -219,8 +214,8 @@ def _verdict(identifier: str, folder: Path | None) -> str:
 
 #: The statements whose verdicts the sentences of the first page give.
 SAID = (
-    "AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "AL11d", "EX3a", "EX3e", "EX4", "EX7e", "EX7f", "DE2d", "DE3h", "DE6b",
-    "DE6c", "DE7a", "DE7b", "DE11a",
+    "AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "EX3a", "EX3e", "EX4", "EX7e", "EX7f", "DE2d", "DE3h", "DE6b", "DE6c",
+    "DE7a", "DE7b", "DE11a",
 )  # fmt: skip
 #: The statements on which the lines of the page "What to use when" rest.
 USED = (
@@ -237,8 +232,6 @@ FACTS: Mapping[str, Callable[[Path | None], str]] = {
     "entropy_steps_draws": lambda folder: _entropy_steps("ours", "dropout/max-entropy", folder),
     "entropy_steps": lambda folder: _entropy_steps("ours", "softmax/max-entropy", folder),
     "entropy_steps_recorded": lambda folder: _entropy_steps("as-recorded", "softmax/max-entropy", folder),
-    "ambiguous_bald": lambda folder: _difference("AL11", folder),
-    "ambiguous_entropy": lambda folder: _difference("AL11d", folder),
     "cells_minimum": lambda folder: _printed_cells("minimum"),
     "cells_last": lambda folder: _printed_cells("last"),
     "greedy_early": lambda folder: _greedy(EARLY, folder),

@@ -85,7 +85,7 @@ class SquaredExponential:
 
     @cached_property
     def pair_weights(self) -> tuple[Tensor, Tensor]:
-        """The weights of the two functions of each pair [R, P, N]; 1 in ``curvature``'s place for f_i f_i."""
+        """The weights of the two functions of each pair [R, P, N]; 1 for f_i f_i where ``curvature`` holds them."""
         outputs, (first, second) = self.weights.shape[1], self._pairs
         both = self.weights[:, first], self.weights[:, second]
         if self.precision is None:
@@ -94,10 +94,13 @@ class SquaredExponential:
         return torch.cat((ones, both[0][:, outputs:]), 1), torch.cat((ones, both[1][:, outputs:]), 1)
 
     @cached_property
-    def curvature(self) -> Tensor:
-        """Per output the outer product of its weights less its precision [R, E, N, N]."""
-        product = self.weights[..., :, None] * self.weights[..., None, :]
-        return product if self.precision is None else product - self.precision
+    def curvature(self) -> Tensor | None:
+        """Per output the outer product of its weights less its ``precision`` [R, E, N, N], if there is one."""
+        return None if self.precision is None else self.weights[..., None] * self.weights[..., None, :] - self.precision
+
+    @property
+    def _plain(self) -> bool:
+        return self.precision is None and not self.fixed
 
     @property
     def _pairs(self) -> tuple[Tensor, Tensor]:
@@ -143,14 +146,16 @@ class SquaredExponential:
 
         The values have gradients with respect to the functions' own parameters where ``moments`` has them.
         """
-        plain = self.precision is None and not self.fixed
-        return _mixture_values(self, x) if plain else _posterior_values(self, x)
+        x = Gaussian(x.mean.detach(), x.cov.detach())
+        return _mixture_values(self, x) if self._plain else _posterior_values(self, x)
 
     def jacobian(self, x: Gaussian, sums: tuple[Tensor, ...]) -> Tensor:
-        """Return the derivatives of ``Linearised``, for inputs [R, ...] or for those of several times [R, T, ...]."""
+        """Return the derivatives of ``Linearised``, for one input or for those of several times [R, T, ...] at once.
+
+        What grows with N alone is worked out again, which costs less than to keep it for each time.
+        """
         with torch.no_grad():
-            plain = self.precision is None and not self.fixed
-            return _mixture_jacobian(self, x) if plain else _posterior_jacobian(self, x, *sums)
+            return _mixture_jacobian(self, x) if self._plain else _posterior_jacobian(self, x, *sums)
 
 
 class Linearised(NamedTuple):
@@ -215,9 +220,9 @@ def _mixture(f: SquaredExponential, x: Gaussian) -> tuple[Tensor, ...]:
 
 
 def _mixture_values(f: SquaredExponential, x: Gaussian) -> tuple[Tensor, tuple[()]]:
-    height, pull, _, root = _mixture(f, Gaussian(x.mean.detach(), x.cov.detach()))
-    own, outputs = slice(f.weights.shape[1]), f.weights.shape[1]
-    value = height.sum(-1)
+    height, pull, _, root = _mixture(f, x)
+    outputs = f.weights.shape[1]
+    own, value = slice(outputs), height.sum(-1)
     slope = (height[..., own, None, :] @ pull[..., own, :, :])[..., 0, :] * root[..., own, :]
     square = value[..., outputs + _pair_numbers(outputs, value.device).flatten()]
     return torch.cat((value[..., own], slope.flatten(-2), square), -1), ()
@@ -259,7 +264,7 @@ def _posterior_values(f: SquaredExponential, x: Gaussian) -> tuple[Tensor, tuple
     All that its derivatives need are sums of ``W``, ``W z`` and ``z W z'``, taken while a block of W is in the cache,
     so that no N x N array is kept. Where the curvature is a product of weights alone, these are left out of W.
     """
-    x, outputs = Gaussian(x.mean.detach(), x.cov.detach()), f.weights.shape[1]
+    outputs = f.weights.shape[1]
     height, pull, _, shrink, log_det = _posterior(f, x)
     sums = _pair_sums(f, x, shrink[:, outputs:], log_det[:, outputs:])
     square = sums[0][:, _pair_numbers(outputs, height.device).flatten(), 0, 0]
@@ -327,7 +332,7 @@ def _pair_sums(f: SquaredExponential, x: Gaussian, shrink: Tensor, log_det: Tens
     basis = torch.cat((ones[:, :1], z[:, None]), -1)  # [R, 1, N, 1 + D]
     outer, inner = f.pair_weights
     factors = row, column, outer, inner[..., None] * basis
-    if f.precision is None:
+    if f.curvature is None:
         product, over_n = _sums(factors)
     else:
         outputs = f.weights.shape[1]
