@@ -269,11 +269,51 @@ def test_one_sentence_for_what_cannot_be_done(data, change, message):
         ([nn.Dropout(), nn.Linear(12, 2)], r"logits \[6, 3\], images × classes, got \[6, 2\]"),
         ([nn.Dropout(), nn.Linear(12, 3), nn.Softmax(-1)], "ends in a softmax"),
         ([nn.Linear(12, 3)], "need an nn.Dropout layer"),
+        ([nn.Dropout(0.0), nn.Linear(12, 3)], "need an nn.Dropout layer that drops something"),
     ],
 )
 def test_a_module_that_will_not_do_is_named(data, layers, message):
     with pytest.raises(ValueError, match=message):
         simulate(DropoutLearner(lambda: nn.Sequential(nn.Flatten(), *layers)), *data, progress=False)
+
+
+class Attention(nn.Module):
+    """Attention of the pixels to each other; the only dropout is that inside."""
+
+    def __init__(self):
+        super().__init__()
+        self.within = nn.MultiheadAttention(4, 2, dropout=0.5, batch_first=True)
+
+    def forward(self, x):
+        return self.within(x, x, x)[0]
+
+
+class LastOutput(nn.GRU):
+    """The outputs of a recurrent network after the last time."""
+
+    def forward(self, x):
+        return super().forward(x)[0][:, -1]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: [nn.TransformerEncoderLayer(4, 2, 8, dropout=0.5, batch_first=True), nn.Flatten(), nn.Linear(12, 3)],
+        lambda: [Attention(), nn.Flatten(), nn.Linear(12, 3)],
+        lambda: [LastOutput(4, 5, num_layers=2, dropout=0.5, batch_first=True), nn.Linear(5, 3)],
+        lambda: [nn.Flatten(), nn.Linear(12, 8), nn.BatchNorm1d(8), nn.AlphaDropout(0.5), nn.Linear(8, 3)],
+    ],
+    ids=["transformer", "attention", "recurrent", "batch-norm"],
+)
+def test_draws_differ_wherever_a_layer_drops(data, make):
+    learner = DropoutLearner(lambda: nn.Sequential(nn.Flatten(2), *make()), epochs=1)
+    learner.hold(torch.tensor(data[0], dtype=torch.float32), torch.arange(60) % 3, 3, 100)
+    learner.fit(torch.arange(10)[None])
+    kept = {name: value.clone() for name, value in learner.network.state_dict().items()}
+    drawn = learner.log_probs(torch.arange(60)[None], 5)[0]
+    assert all(not torch.equal(drawn[0], other) for other in drawn[1:])
+    assert torch.equal(*(learner.log_probs(torch.arange(60)[None], 0) for _ in range(2)))
+    assert all(torch.equal(kept[name], value) for name, value in learner.network.state_dict().items())
 
 
 def test_what_is_no_classifier_is_refused():

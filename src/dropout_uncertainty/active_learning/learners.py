@@ -45,6 +45,13 @@ class Holder(Learner):
         self.images, self.labels, self.classes, self.seed = images, labels, classes, seed
 
 
+def _drops(layer: nn.Module) -> bool:
+    """Return whether a layer of PyTorch drops units by itself when it is in training mode."""
+    if isinstance(layer, nn.MultiheadAttention | nn.RNNBase):
+        return layer.dropout > 0
+    return isinstance(layer, nn.modules.dropout._DropoutNd) and layer.p > 0
+
+
 class SklearnLearner(Holder):
     """Any classifier with ``fit(x, y)`` and ``predict_proba(x)``, such as scikit-learn's; images become rows.
 
@@ -95,8 +102,8 @@ class DropoutLearner(Holder):
     """A torch module with dropout, trained by Adam on the cross-entropy; a weight draw keeps the dropout active.
 
     ``make()`` returns the module, which takes [B, ...] images as they are in the data set, in its own precision, and
-    returns logits [B, C]. Only its ``nn.Dropout`` layers are active when it draws; batch normalisation never is. Each
-    image has masks of its own.
+    returns logits [B, C]. When it draws, only what drops units is as in training: ``nn.Dropout``, and the dropout within
+    PyTorch's attention and recurrent layers; batch normalisation never is. Each image has masks of its own.
 
     Raises:
         ValueError: if a setting is below 1, or (in ``fit``) if the module has no dropout layer or the wrong output.
@@ -145,16 +152,21 @@ class DropoutLearner(Holder):
                     loss.backward()
                     adam.step()
         self.network.eval()
-        self.dropouts = [layer for layer in self.network.modules() if isinstance(layer, nn.modules.dropout._DropoutNd)]
-        if not self.dropouts:
-            raise ValueError("weight draws need an nn.Dropout layer, and the module has none (F.dropout does not show)")
+        layers = list(self.network.modules())
+        if not any(map(_drops, layers)):
+            raise ValueError(
+                "weight draws need an nn.Dropout layer that drops something, and the module has none (F.dropout does "
+                "not show)"
+            )
+        # in evaluation mode a transformer's layer passes its own dropout layers by
+        self.drawing = [layer for layer in layers if _drops(layer) or isinstance(layer, nn.TransformerEncoderLayer)]
 
     @torch.inference_mode()
     def log_probs(self, candidates: Int[Tensor, "1 M"], draws: int) -> Float[Tensor, "1 S M C"]:
         """Return log-probabilities under ``draws`` weight draws, or (0) with all dropout off."""
         self.calls += 1
-        for layer in self.dropouts:
-            layer.train(draws > 0)
+        for layer in self.drawing:
+            layer.training = draws > 0  # unlike train() it leaves the layers within alone
         with self._random("predict", self.size, self.calls):
             parts = candidates[0].split(EVALUATION_BATCH)
             outputs = [torch.cat([self._logits(part).log_softmax(-1) for part in parts]) for _ in range(max(draws, 1))]

@@ -20,7 +20,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -386,7 +386,7 @@ def _kept(path: Path, folder: Path) -> Record:
     return replace(record, header=json.loads(json.dumps(record.header)), arrays=dict(record.arrays))
 
 
-@lru_cache(maxsize=256)
+@cache  # all that are published take 43 MB; a limit below their number would read each again and again
 def _verified(path: Path, folder: Path, _: tuple[int, ...]) -> Record:
     return read(path, folder)
 
