@@ -102,7 +102,7 @@ class DropoutLearner(Holder):
     """A torch module with dropout, trained by Adam on the cross-entropy; a weight draw keeps the dropout active.
 
     ``make()`` returns the module, which takes [B, ...] images as they are in the data set, in its own precision, and
-    returns logits [B, C]. When it draws, only what drops units is as in training: ``nn.Dropout``, and the dropout within
+    returns logits [B, C]. When it draws, only what drops units is as in training: ``nn.Dropout`` and the dropout within
     PyTorch's attention and recurrent layers; batch normalisation never is. Each image has masks of its own.
 
     Raises:
