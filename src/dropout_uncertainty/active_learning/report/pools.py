@@ -30,6 +30,8 @@ CONTRASTS: dict[str, tuple[str, str, str]] = {
     "AL11": ("ambiguous", "dropout/bald", "softmax/max-entropy"),
     "AL11b": ("ambiguous", "dropout/bald", "random"),
     "AL11c": ("ambiguous", "dropout/max-entropy", "softmax/max-entropy"),
+    # written down when its first five pairs had been seen
+    "AL11m": ("ambiguous", "dropout/bald", "dropout/max-entropy"),
     "AL11d": ("ambiguous", "softmax/max-entropy", "random"),
     "AL11e": ("ambiguous", "dropout/variation-ratios", "softmax/least-confidence"),
     "AL12": ("ambiguous", "dropout/mean-std", "dropout/bald"),
