@@ -15,6 +15,10 @@ def test_masks_hold_two_values_and_have_mean_one(p):
     assert abs(rows.var().item() / (p / (1 - p) / 1000) - 1) < 0.5, "entries of a row are not independent"
 
 
+def test_a_whole_number_is_a_probability():
+    assert (dropout_mask((4,), 0, generator(100)) == 1).all()
+
+
 def test_masks_are_the_bernoulli_variates_of_torch_on_a_cpu():
     """Where the drop probability is no multiple of 1/256; by its kernel for all CPUs, which is that without MKL."""
     uniform = rng.generator(100)

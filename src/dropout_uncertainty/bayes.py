@@ -45,7 +45,8 @@ def dropout_mask(
     Raises:
         ValueError: if ``p`` is outside [0, 1).
     """
-    keep, shape = 1.0 - check_probability(p), tuple(shape)
+    p, shape = check_probability(p), tuple(shape)
+    keep = 1.0 - p
     mask = torch.empty(shape, dtype=dtype, device=generator.device) if out is None else out
     if (256 * p).is_integer():
         # One random byte decides exactly, at a twentieth of the cost of a Bernoulli variate on a CPU.

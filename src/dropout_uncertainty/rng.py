@@ -21,7 +21,9 @@ __all__ = ["check_seeds", "derived", "generator", "normal", "stacked", "uniform"
 
 
 def generator(seed: SupportsIndex, *path: str | SupportsIndex, device: str | torch.device = "cpu") -> Generator:
-    """Return the generator of one stream, independent of every other (seed, path).
+    """Return the generator of one stream, another one for every (seed, path).
+
+    PyTorch's generator on the CPU takes 32 bits of a seed, so two streams are the same with a chance of 2^-32.
 
     ``path`` names the purpose ("init", "data", "masks", "policy", "environment") and, where a run draws in blocks, the
     number of the block. The same arguments give the same stream on the same device type.

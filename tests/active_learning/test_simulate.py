@@ -133,10 +133,13 @@ def test_types_of_data_make_no_difference(data):
         (torch.from_numpy(images).requires_grad_(), torch.from_numpy(number)),
         (images.tolist(), labels.tolist()),
         (images[::-1][::-1], number.astype(np.int8)),
+        (images.astype(">f4"), number.astype(">i8")),
         (np.asfortranarray(images).astype(np.float64), number.astype(np.float32)),
         (data[0].astype(np.float32), labels.astype(object)),
     ]:
         assert same(simulate(SklearnLearner(Nearest()), x, y, rounds=1, progress=False), bare)
+    half = torch.from_numpy(images).bfloat16()
+    assert simulate(SklearnLearner(Nearest()), half, labels, rounds=1, progress=False).labels.tolist() == [6, 16]
     coarse = (images * 50 + 50).astype(np.uint8)
     assert simulate(dropout_learner(), coarse, data[1], rounds=1, progress=False).labels.tolist() == [6, 16]
     assert simulate(SklearnLearner(Nearest()), coarse, number > 0, rounds=1, progress=False).labels.tolist() == [4, 14]
@@ -152,6 +155,15 @@ def test_a_class_may_have_no_label_and_the_test_set_may_be_chosen(data):
     assert curve.error[0] == pytest.approx(100 * (labels[mask] == "cow").mean())
     chosen = simulate(SklearnLearner(Nearest()), images, labels, test=mask.nonzero()[0], rounds=0, progress=False)
     assert same(chosen, curve)
+
+
+def test_a_learner_of_ones_own_names_all_classes(data):
+    class Seen(SklearnLearner):
+        def log_probs(self, candidates, draws):
+            return super().log_probs(candidates, draws)[..., :2].log_softmax(-1)
+
+    with pytest.raises(ValueError, match=r"all 3 classes, in the order of np.unique\(labels\), got 2"):
+        simulate(Seen(Nearest()), *data, rounds=0, progress=False)
 
 
 def test_a_learner_of_ones_own_and_the_picture(data):
@@ -229,7 +241,12 @@ def test_batch_normalisation_in_training_mode_gets_a_hint(data):
     ("change", "message"),
     [
         ({"labels": np.linspace(0, 1, 60)}, "a regression is out of scope"),
-        ({"labels": np.array([0.0, np.nan] * 30)}, "fractions or NaN"),
+        ({"labels": np.array([0.0, np.nan] * 30)}, "fractions, NaN or infinity"),
+        ({"labels": np.array([0.0, np.inf] * 30)}, "fractions, NaN or infinity"),
+        ({"labels": ["ant", np.nan, "bee"] * 20}, "one type, got several"),
+        ({"labels": np.array(["2026-01-01", "NaT"] * 30, "datetime64[D]")}, "some of the labels are NaN"),
+        ({"labels": np.ma.masked_equal(np.arange(60) % 3, 2)}, "some of the labels are masked"),
+        ({"images": np.ma.masked_equal(np.ones((60, 2)), 1)}, "without masked values"),
         ({"labels": np.array([None, "ant"] * 30, dtype=object)}, "one type, got several"),
         ({"labels": np.zeros(60)}, "at least two classes, got 1"),
         ({"labels": np.eye(3)[np.arange(60) % 3]}, "one label for each"),
@@ -240,6 +257,7 @@ def test_batch_normalisation_in_training_mode_gets_a_hint(data):
         ({"images": np.arange(60)}, "one label for each"),
         ({"test": 1.0}, "share between 0 and 1"),
         ({"test": -0.1}, "share between 0 and 1"),
+        ({"test": "a"}, "share between 0 and 1"),
         ({"test": [60]}, "indices below 60"),
         ({"test": [-1]}, "count from 0, got -1"),
         ({"test": [1, 1, 2]}, "repeat an index"),
@@ -275,6 +293,111 @@ def test_one_sentence_for_what_cannot_be_done(data, change, message):
 def test_a_module_that_will_not_do_is_named(data, layers, message):
     with pytest.raises(ValueError, match=message):
         simulate(DropoutLearner(lambda: nn.Sequential(nn.Flatten(), *layers)), *data, progress=False)
+
+
+class Activated(nn.Module):
+    """A network whose settings and activation do not show in its repr."""
+
+    def __init__(self, activation):
+        super().__init__()
+        self.activation = activation
+        self.layers = nn.ModuleList([nn.Linear(12, 8), nn.Dropout(), nn.Linear(8, 3)])
+
+    def forward(self, x):
+        first, dropout, last = self.layers
+        return last(dropout(self.activation(first(x.flatten(1)))))
+
+
+def test_a_checkpoint_is_of_one_network_and_one_shape(data, tmp_path):
+    def run(activation=torch.relu, images=data[0], make=Activated, name="c"):
+        learner = DropoutLearner(lambda: make(activation), epochs=1)
+        return simulate(learner, images, data[1], rounds=1, checkpoint=tmp_path / name, progress=False)
+
+    first = run()
+    assert same(run(), first)
+    with pytest.raises(ValueError, match="of another simulation"):
+        run(torch.tanh)
+    with pytest.raises(ValueError, match="of another simulation"):
+        run(images=data[0].reshape(60, 12))
+
+    def biased(activation):
+        network = Activated(activation)
+        nn.init.ones_(network.layers[0].bias)
+        return network
+
+    with pytest.raises(ValueError, match="of another simulation"):
+        run(make=biased)
+
+
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_an_address_in_memory_makes_no_other_simulation(data, tmp_path):
+    class Holding(Nearest):
+        def get_params(self):
+            return {"held": object()}
+
+    for _ in range(2):
+        simulate(SklearnLearner(Holding()), *data, rounds=1, checkpoint=tmp_path / "c", progress=False)
+
+
+def test_every_fit_begins_from_the_module_as_it_was_made(data):
+    with torch.random.fork_rng():
+        made = nn.Sequential(nn.Flatten(), nn.Dropout(), nn.Linear(12, 3))
+    options = {"acquisition": "random", "rounds": 2, "progress": False}
+    curves = [simulate(DropoutLearner(lambda: made, epochs=5), *data, **options) for _ in range(2)]
+    assert same(*curves)
+
+
+@pytest.mark.parametrize("acquisition", ["bald", "batch-bald", "power-bald"])
+def test_members_that_are_all_the_same_do_not_choose(data, acquisition):
+    learner = EnsembleLearner(SklearnLearner(Nearest()), 3)
+    with pytest.warns(UserWarning, match="all scores are equal"):
+        chosen = simulate(learner, *data, acquisition=acquisition, rounds=1, progress=False)
+    with pytest.warns(UserWarning, match="all scores are equal"):
+        alone = simulate(SklearnLearner(Nearest()), *data, acquisition=acquisition, rounds=1, progress=False)
+    assert same(chosen, alone)  # by the same random numbers
+
+
+def test_a_bootstrap_loses_no_class(data):
+    class Counting(Nearest):
+        def fit(self, x, y):
+            assert np.bincount(y).tolist() == [2, 2, 2]
+            super().fit(x, y)
+
+    simulate(EnsembleLearner(SklearnLearner(Counting()), 20, bootstrap=True), *data, rounds=0, progress=False)
+
+
+def test_class_weights_by_label_need_labels_that_are_numbered(data):
+    class Weighted(Nearest):
+        def get_params(self):
+            return {"class_weight": {0: 2.0}}
+
+    learner = EnsembleLearner(SklearnLearner(Weighted()))
+    with pytest.raises(ValueError, match="class_weight is a dictionary"):
+        simulate(learner, *data, rounds=0, progress=False)
+    simulate(learner, data[0], np.arange(60) % 3, rounds=0, progress=False)
+
+
+@pytest.mark.parametrize(
+    "layers",
+    [
+        [nn.Flatten(2), nn.TransformerEncoderLayer(4, 2, 8), nn.Flatten(), nn.Dropout(), nn.Linear(12, 3)],
+        [nn.Flatten(), nn.Linear(12, 8), nn.BatchNorm1d(8, track_running_stats=False), nn.Dropout(), nn.Linear(8, 3)],
+    ],
+    ids=["transformer", "batch-norm"],
+)
+def test_predictions_that_depend_on_their_company_get_a_hint(data, layers):
+    learner = DropoutLearner(lambda: nn.Sequential(*layers), epochs=1)
+    learner.hold(torch.tensor(data[0], dtype=torch.float32), torch.arange(60) % 3, 3, 100)
+    with pytest.warns(UserWarning, match="in other company"):
+        learner.fit(torch.arange(10)[None])
+
+
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_words_may_be_learned_from(data):
+    words = np.arange(60)[:, None] % 3 + np.zeros((60, 4), int)
+    layers = [lambda: nn.Embedding(3, 4), nn.Flatten, nn.Dropout, lambda: nn.Linear(16, 3)]
+    learner = DropoutLearner(lambda: nn.Sequential(*(layer() for layer in layers)), learning_rate=0.05)
+    assert simulate(learner, words, data[1], rounds=1, progress=False).error[-1] == 0
 
 
 class Attention(nn.Module):

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from torch import Generator, Tensor
 
@@ -47,12 +47,17 @@ def bald(log_probs: Float[Tensor, "S N C"]) -> Float[Tensor, " N"]:
     """Return the mutual information between prediction and weights in nats (Houlsby et al., 2011).
 
     Computed as the mean over draws of KL(p_s ‖ p̄), the same quantity as H[p̄] - mean H[p_s] but a mean of terms that
-    are never negative, so nothing cancels. One draw carries no disagreement: for S = 1 the score is exactly 0.
+    are never negative, so nothing cancels. Where all draws are the same, as for S = 1, the score is exactly 0 and not
+    a rounding error.
     """
-    if len(log_probs) == 1:
-        return log_probs.new_zeros(log_probs.shape[1])
     mean = mean_log_probs(log_probs)
-    return (p_log_q(log_probs, log_probs) - p_log_q(log_probs, mean)).sum(-1).mean(0).clamp_min(0.0)
+    value = (p_log_q(log_probs, log_probs) - p_log_q(log_probs, mean)).sum(-1).mean(0).clamp_min(0.0)
+    return value.masked_fill(agreed(log_probs), 0.0)
+
+
+def agreed(log_probs: Float[Tensor, "S N C"]) -> Bool[Tensor, " N"]:
+    """Return for which points all draws are the same."""
+    return (log_probs == log_probs[:1]).all(-1).all(0)
 
 
 def variation_ratios(log_probs: Float[Tensor, "S N C"]) -> Float[Tensor, " N"]:

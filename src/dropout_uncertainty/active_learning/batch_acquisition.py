@@ -4,7 +4,8 @@ The highest BALD scores of a round can belong to images that are alike, and then
 first image says. BatchBALD (Kirsch et al., 2019) scores a batch by the mutual information between all of its labels
 and the weights; power-BALD (Kirsch et al., 2023) perturbs the scores of BALD, which costs nothing.
 
-Each function takes log-probabilities [S, N, C], the size of the batch and a generator, and returns positions.
+Each function takes log-probabilities [S, N, C], the size of the batch and a generator, and returns positions. Where
+the draws are the same for every point, the choice is random, with the warning of ``select``.
 """
 
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Generator, Tensor
 
-from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS, p_log_q, score, select
+from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS, agreed, bald, checked, p_log_q, select
 
 __all__ = ["BATCH_ACQUISITIONS", "batch_bald", "check_name", "power_bald"]
 
@@ -30,9 +31,12 @@ def power_bald(log_probs: Float[Tensor, "S N C"], count: int, generator: Generat
 
     The highest ``count`` of log BALD plus standard Gumbel noise are such a draw.
     """
-    uniform = torch.rand(log_probs.shape[1], generator=generator, dtype=torch.float64)
+    scores = bald(checked(log_probs)).cpu()
+    if (scores == 0).all():
+        return select(scores, count, generator).positions
+    uniform = torch.rand(len(scores), generator=generator, dtype=torch.float64)
     gumbel = -(-uniform.clamp_min(LEAST).log()).log()
-    return select(score("bald", log_probs).cpu().clamp_min(LEAST).log() + gumbel, count, generator).positions
+    return select(scores.clamp_min(LEAST).log() + gumbel, count, generator).positions
 
 
 def batch_bald(
@@ -44,6 +48,8 @@ def batch_bald(
     ``outcomes``; beyond that it is estimated from as many sampled outcomes. Equal scores fall in random order.
     """
     log_p = log_probs.double()
+    if agreed(log_p).all():
+        return select(log_p.new_zeros(log_p.shape[1]), count, generator).positions
     conditional = -p_log_q(log_p, log_p).sum(-1).mean(0)
     probs, classes = log_p.exp(), log_p.shape[-1]
     joint, weights = probs.new_ones(len(probs), 1), probs.new_ones(1)

@@ -17,14 +17,26 @@ def numbers(given: ArrayLike, what: str) -> Tensor:
     Raises:
         ValueError: if they are no real numbers, or rows of unequal lengths; ``what`` says what was expected.
     """
+    if np.ma.is_masked(given):
+        raise ValueError(f"expected {what} without masked values: fill them or leave those points out")
     try:
-        # A copy of an array, since torch takes neither negative strides nor read-only memory.
-        tensor = given.detach() if isinstance(given, Tensor) else torch.from_numpy(np.array(given))
+        tensor = given.detach() if isinstance(given, Tensor) else torch.from_numpy(_array(given))
     except (TypeError, ValueError, RuntimeError):
         tensor = None
     if tensor is None or tensor.is_complex():
         raise ValueError(f"expected {what} as real numbers in one array, got {_kind(given)}") from None
     return tensor
+
+
+def _array(given: ArrayLike) -> np.ndarray:
+    """Return a copy, since torch takes neither negative strides nor read-only memory, nor the bytes of other machines.
+
+    Columns of a data frame that have several types become floats.
+    """
+    array = np.array(given)
+    if array.dtype == object and (to_numpy := getattr(given, "to_numpy", None)):
+        array = to_numpy(float)
+    return array.astype(array.dtype.newbyteorder("="))
 
 
 def indices(given: ArrayLike, what: str) -> Int[Tensor, " n"]:

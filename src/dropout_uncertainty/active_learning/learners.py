@@ -6,7 +6,9 @@ random state is not moved.
 """
 
 import copy
+import hashlib
 import math
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -44,6 +46,13 @@ class Holder(Learner):
         """Take the data set: N images or rows of features, labels from 0 to ``classes`` - 1."""
         self.images, self.labels, self.classes, self.seed = images, labels, classes, seed
 
+    def check_labels(self, names: np.ndarray) -> None:
+        """Raise ValueError if a setting speaks of labels [C] otherwise than by their numbers from 0."""
+
+    def fingerprint(self) -> str:
+        """Return what tells this learner from others."""
+        return repr(self)
+
 
 def _drops(layer: nn.Module) -> bool:
     """Return whether a layer of PyTorch drops units by itself when it is in training mode."""
@@ -71,8 +80,19 @@ class SklearnLearner(Holder):
         self.classifier = classifier
 
     def __repr__(self) -> str:
-        settings = getattr(self.classifier, "get_params", lambda: vars(self.classifier))()
-        return f"SklearnLearner({type(self.classifier).__qualname__}, {settings})"
+        return f"SklearnLearner({type(self.classifier).__qualname__}, {self._settings()})"
+
+    def _settings(self) -> dict[str, Any]:
+        return getattr(self.classifier, "get_params", lambda: vars(self.classifier))()
+
+    def check_labels(self, names: np.ndarray) -> None:
+        """Raise ValueError if classes are weighted by label: the classifier knows them by their numbers only."""
+        weighted = any(n.endswith("class_weight") and isinstance(v, dict) for n, v in self._settings().items())
+        if weighted and names.tolist() != list(range(len(names))):
+            raise ValueError(
+                "expected the labels 0, 1, ... where class_weight is a dictionary, got others: number them, or use "
+                'class_weight="balanced"'
+            )
 
     def fit(self, labelled: Int[Tensor, "1 n"]) -> None:
         """Train a fresh copy on the given points."""
@@ -95,15 +115,17 @@ class SklearnLearner(Holder):
         return probs.log()[None, None]
 
     def _rows(self, points: Int[Tensor, " n"]) -> np.ndarray:
-        return self.images[points].flatten(1).numpy()
+        rows = self.images[points].flatten(1)
+        return (rows.float() if rows.dtype == torch.bfloat16 else rows).numpy()
 
 
 class DropoutLearner(Holder):
     """A torch module with dropout, trained by Adam on the cross-entropy; a weight draw keeps the dropout active.
 
-    ``make()`` returns the module, which takes [B, ...] images as they are in the data set, in its own precision, and
-    returns logits [B, C]. When it draws, only what drops units is as in training: ``nn.Dropout`` and the dropout within
-    PyTorch's attention and recurrent layers; batch normalisation never is. Each image has masks of its own.
+    ``make()`` returns the module, of which each fit trains a copy. It takes [B, ...] images as they are in the data
+    set, in its own precision, and returns logits [B, C]. When it draws, only what drops units is as in training:
+    ``nn.Dropout`` and the dropout within PyTorch's attention and recurrent layers; batch normalisation never is. Each
+    image has masks of its own.
 
     Raises:
         ValueError: if a setting is below 1, or (in ``fit``) if the module has no dropout layer or the wrong output.
@@ -119,6 +141,8 @@ class DropoutLearner(Holder):
         decay: float = 0.0,
         device: str = "cpu",
     ) -> None:
+        if torch.device(device).type == "cuda" and not torch.cuda.is_available():
+            raise ValueError(f"the device {device} was asked for, but PyTorch finds no CUDA GPU here")
         self.make, self.device, self.learning_rate, self.decay = make, device, learning_rate, decay
         self.epochs, self.batch = whole(epochs, "the number of epochs"), whole(batch, "the batch")
         if isinstance(make, nn.Module) or not callable(make):
@@ -128,6 +152,17 @@ class DropoutLearner(Holder):
         settings = f"{self.epochs}, {self.batch}, {self.learning_rate}, {self.decay}"
         with self._random(0):
             return f"DropoutLearner({self.make()!r}, {settings})"
+
+    def fingerprint(self) -> str:
+        """Return the settings, those of all layers, and a checksum of the weights that training starts from."""
+        with self._random(0):
+            module = self.make()
+        layers = [{k: v for k, v in vars(layer).items() if not k.startswith("_")} for layer in module.modules()]
+        weights = hashlib.sha256()
+        for name, value in module.state_dict().items():
+            weights.update(f"{name} {value.dtype} {list(value.shape)} ".encode())
+            weights.update(value.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+        return f"{self!r}, {layers}, {weights.hexdigest()}"
 
     @contextmanager
     def _random(self, *path: str | int) -> Iterator[None]:
@@ -140,7 +175,7 @@ class DropoutLearner(Holder):
         """Train a new module on the given points."""
         points, self.size, self.calls = labelled[0], labelled.shape[1], 0
         with self._random("fit", len(points)):
-            self.network = self.make().to(self.device)
+            self.network = copy.deepcopy(self.make()).to(self.device)
             adam = torch.optim.Adam(self.network.parameters(), lr=self.learning_rate, weight_decay=self.decay)
             for _ in range(self.epochs):
                 # Batches of nearly equal size: batch normalisation cannot do with a single image left over.
@@ -160,6 +195,19 @@ class DropoutLearner(Holder):
             )
         # in evaluation mode a transformer's layer passes its own dropout layers by
         self.drawing = [layer for layer in layers if _drops(layer) or isinstance(layer, nn.TransformerEncoderLayer)]
+        self._check_company()
+
+    @torch.inference_mode()
+    def _check_company(self) -> None:
+        """Warn if the prediction for an image depends on the others that are predicted with it."""
+        two, three = (self._logits(torch.arange(count)) for count in (2, min(3, len(self.images))))
+        slack = torch.finfo(two.dtype).eps ** 0.5
+        if not torch.allclose(two, three[:2], rtol=slack, atol=slack * float(three.abs().max())):
+            warnings.warn(
+                "the network predicts an image differently in other company: layers for sequences want "
+                "batch_first=True, batch normalisation track_running_stats=True",
+                stacklevel=2,
+            )
 
     @torch.inference_mode()
     def log_probs(self, candidates: Int[Tensor, "1 M"], draws: int) -> Float[Tensor, "1 S M C"]:
@@ -173,8 +221,10 @@ class DropoutLearner(Holder):
         return torch.stack(outputs)[None].cpu()
 
     def _logits(self, points: Int[Tensor, " B"]) -> Float[Tensor, "B C"]:
-        weight = next(self.network.parameters())
-        logits = self.network(self.images[points].to(weight.device, weight.dtype))
+        first = next(layer for layer in self.network.modules() if layer._parameters)
+        weight = next(first.parameters())
+        dtype = torch.long if isinstance(first, nn.Embedding) else weight.dtype
+        logits = self.network(self.images[points].to(weight.device, dtype))
         if logits.shape != (len(points), self.classes):
             raise ValueError(
                 f"expected logits [{len(points)}, {self.classes}], images × classes, got {list(logits.shape)}"
@@ -190,8 +240,8 @@ class EnsembleLearner(Holder):
     Args:
         learner: an ``SklearnLearner`` or a ``DropoutLearner``, whose deterministic pass is taken.
         members: number of copies.
-        bootstrap: whether each trains on a resample of the labelled points; without it, copies of a classifier that
-            has no randomness of its own are all the same.
+        bootstrap: whether each trains on a resample of the labelled points of each class; without it, copies of a
+            classifier that has no randomness of its own are all the same.
     """
 
     def __init__(self, learner: Holder, members: int = 5, *, bootstrap: bool = False) -> None:
@@ -203,6 +253,14 @@ class EnsembleLearner(Holder):
     def __repr__(self) -> str:
         return f"EnsembleLearner({self.members[0]!r}, {len(self.members)}, bootstrap={self.bootstrap})"
 
+    def check_labels(self, names: np.ndarray) -> None:
+        """Raise ValueError where its members do."""
+        self.members[0].check_labels(names)
+
+    def fingerprint(self) -> str:
+        """Return what tells this ensemble from others."""
+        return f"{self!r}, {self.members[0].fingerprint()}"
+
     def hold(self, images: Tensor, labels: Int[Tensor, " N"], classes: int, seed: int) -> None:
         """Take the data set, and give each member a seed of its own."""
         super().hold(images, labels, classes, seed)
@@ -211,11 +269,14 @@ class EnsembleLearner(Holder):
 
     def fit(self, labelled: Int[Tensor, "1 n"]) -> None:
         """Train all members."""
-        size = labelled.shape[1]
+        points = labelled[0]
         for index, member in enumerate(self.members):
-            generator = rng.generator(self.seed, "bootstrap", index, size)
-            drawn = torch.randint(size, (size,), generator=generator) if self.bootstrap else slice(None)
-            member.fit(labelled[:, drawn])
+            if self.bootstrap:
+                generator = rng.generator(self.seed, "bootstrap", index, len(points))
+                of_class = [points[self.labels[points] == label] for label in self.labels[points].unique()]
+                drawn = [some[torch.randint(len(some), some.shape, generator=generator)] for some in of_class]
+                labelled = torch.cat(drawn)[None]
+            member.fit(labelled)
 
     def log_probs(self, candidates: Int[Tensor, "1 M"], draws: int) -> Float[Tensor, "1 S M C"]:
         """Return log-probabilities of each member."""

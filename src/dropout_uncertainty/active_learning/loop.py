@@ -41,7 +41,10 @@ class Learner(Protocol):
         """Train from scratch on the given points of the data set."""
 
     def log_probs(self, candidates: Int[Tensor, "R M"], draws: int) -> Float[Tensor, "R S M C"]:
-        """Return log-probabilities under ``draws`` weight draws, or (0) of the deterministic pass, S = 1."""
+        """Return log-probabilities under ``draws`` weight draws, or (0) of the deterministic pass, S = 1.
+
+        Classes come in the order of ``np.unique(labels)``, all C of them; -inf where one has no labelled point.
+        """
 
 
 def acquire(
@@ -141,10 +144,10 @@ def predictions(learner: Learner, candidates: Int[Tensor, "R M"], draws: int) ->
             )
         samples, classes, begin = log_probs.shape[1], log_probs.shape[3], begin + count
         yield log_probs
-    if any(layer.training for layer in _batch_normalisations(learner)):
+    if any(layer.training or getattr(layer, "running_mean", 0) is None for layer in _batch_normalisations(learner)):
         warnings.warn(
             "the learner predicts with batch normalisation in training mode, so a prediction depends on its company: "
-            "call eval() on the network, and train() on its dropout layers only",
+            "call eval() on the network, train() on its dropout layers only, and leave track_running_stats on",
             stacklevel=2,
         )
 

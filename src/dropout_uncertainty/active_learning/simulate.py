@@ -1,6 +1,7 @@
 """Active learning on a data set whose labels are all known: how many of them would have been enough?"""
 
 import hashlib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning.acquisition import checked
 from dropout_uncertainty.active_learning.batch_acquisition import check_name
 from dropout_uncertainty.active_learning.inputs import indices, numbers, whole
+from dropout_uncertainty.active_learning.learners import Holder
 from dropout_uncertainty.active_learning.loop import Learner, acquire, predictions
 from dropout_uncertainty.active_learning.pools import Pool
 from dropout_uncertainty.runs import checkpoints
@@ -82,7 +84,8 @@ def simulate(
         subset: random candidates scored in each round; None: all.
         seed: of the split, the learner and the acquisition.
         checkpoint: a file that is written after each round; a call with the same arguments continues from it, also with
-            more rounds. A learner of your own is told from others by its ``repr`` if it has one, else by its type.
+            more rounds. A learner of your own is told from others by its ``repr`` if it has one, else by its type, and
+            what a network does in ``forward`` is not looked at: name another file when you change that.
         progress: whether to show a progress bar.
 
     Raises:
@@ -92,14 +95,16 @@ def simulate(
     count, rounds = whole(count, "the count of points to acquire"), whole(rounds, "the number of rounds", 0)
     draws, seed = whole(draws, "the number of weight draws", 0), whole(seed, "the seed", 0)
     subset = None if subset is None else whole(subset, "the size of the subset")
-    features, targets, classes = _data(images, labels)
+    features, targets, names = _data(images, labels)
     tested, pool = _split(targets, test, whole(per_class, "the number of initial points per class"), seed)
     if isinstance(learner, type) or not isinstance(learner, Learner):
         raise ValueError(
             f"expected a learner with fit and log_probs, such as SklearnLearner(classifier), got {learner!r}"
         )
+    if isinstance(learner, Holder):
+        learner.check_labels(names)
     if hasattr(learner, "hold"):
-        learner.hold(features, targets, classes, seed)
+        learner.hold(features, targets, len(names), seed)
     settings = (acquisition, count, draws, subset, seed, targets.tolist(), tested.tolist(), pool.labelled.tolist())
     saved = _Checkpoint(checkpoint, _identity(learner, features, *settings))
     sizes, errors = saved.restore(pool)
@@ -107,7 +112,7 @@ def simulate(
         while len(errors) <= rounds:
             learner.fit(pool.labelled[None])
             sizes.append(len(pool.labelled))
-            errors.append(_error(learner, tested, targets))
+            errors.append(_error(learner, tested, targets, len(names)))
             bar.set_postfix_str(f"{sizes[-1]} labels, error {errors[-1]:.1f} %", refresh=False)
             bar.update()
             left = int(pool.available.sum())
@@ -120,33 +125,40 @@ def simulate(
     return Curve(acquisition, np.array(sizes), np.array(errors), pool.labelled[: sizes[-1]].numpy())
 
 
-def _data(images: ArrayLike, labels: ArrayLike) -> tuple[Tensor, Int[Tensor, " N"], int]:
-    """Return features, labels as numbers from 0, and the number of classes."""
+def _data(images: ArrayLike, labels: ArrayLike) -> tuple[Tensor, Int[Tensor, " N"], np.ndarray]:
+    """Return features, labels as numbers from 0, and the labels that these stand for."""
     features = numbers(images, "images or features [N, ...]").cpu()
     given = np.asarray(labels.cpu() if isinstance(labels, Tensor) else labels)
+    if given.dtype.kind == "U" and not hasattr(labels, "dtype"):  # NumPy has made a word of a NaN in the list
+        given = np.array(labels, dtype=object)
     if given.ndim != 1 or features.ndim < 2 or len(given) != len(features):
         shapes = f"{list(features.shape)} and {list(given.shape)}"
         raise ValueError(f"expected images or features [N, ...] and one label for each, [N], got shapes {shapes}")
     if features.is_floating_point() and not features.isfinite().all():
         raise ValueError("the images or features have values that are NaN or infinite: fill them or leave them out")
-    if given.dtype.kind == "f" and not (given == np.floor(given)).all():
-        raise ValueError("expected labels of classes, got fractions or NaN: a regression is out of scope")
+    if given.dtype.kind == "f" and not (np.isfinite(given) & (given == np.floor(given))).all():
+        raise ValueError("expected labels of classes, got fractions, NaN or infinity: a regression is out of scope")
+    if np.ma.is_masked(labels):
+        raise ValueError("some of the labels are masked: leave those points out")
     try:
         names, targets = np.unique(given, return_inverse=True)
     except TypeError:
         raise ValueError("expected labels of one type, got several: is one missing?") from None
-    if given.dtype.kind == "O" and any(name != name for name in names):  # NaN among objects
+    if any(name != name for name in names):  # NaN among objects, or no time
         raise ValueError("some of the labels are NaN: leave those points out")
     if len(names) < 2:
         raise ValueError(f"expected labels of at least two classes, got {len(names)}")
-    return features, torch.from_numpy(targets).long(), len(names)
+    return features, torch.from_numpy(targets).long(), names
 
 
 def _split(targets: Int[Tensor, " N"], test: float | ArrayLike, per_class: int, seed: int) -> tuple[Tensor, Pool]:
     """Return the test points, and the pool with the first points of each class labelled."""
     total = len(targets)
     order = torch.randperm(total, generator=rng.generator(seed, "data"))
-    tested = order[: max(round(np.asarray(test).item() * total), 0)] if np.ndim(test) == 0 else _named(test, total)
+    try:
+        tested = order[: max(round(np.asarray(test).item() * total), 0)] if np.ndim(test) == 0 else _named(test, total)
+    except TypeError:
+        tested = order[:0]
     held_out = torch.zeros(total, dtype=torch.bool)
     if not 0 < len(tested) < total or tested.max() >= total:
         raise ValueError(f"expected a share between 0 and 1, or indices below {total}, as test points, got {test!r}")
@@ -168,10 +180,15 @@ def _named(test: ArrayLike, total: int) -> Int[Tensor, " M"]:
     return named.unique()
 
 
-def _error(learner: Learner, tested: Int[Tensor, " M"], targets: Int[Tensor, " N"]) -> float:
+def _error(learner: Learner, tested: Int[Tensor, " M"], targets: Int[Tensor, " N"], classes: int) -> float:
     """Return the test error in %."""
-    parts = predictions(learner, tested[None], 0)
-    predicted = torch.cat([checked(log_probs[0]).logsumexp(0).argmax(-1).cpu() for log_probs in parts])
+    parts = [checked(log_probs[0]).cpu() for log_probs in predictions(learner, tested[None], 0)]
+    if parts[0].shape[-1] != classes:
+        raise ValueError(
+            f"expected log-probabilities of all {classes} classes, in the order of np.unique(labels), got "
+            f"{parts[0].shape[-1]}: -inf stands for a class without a labelled point"
+        )
+    predicted = torch.cat([log_probs.logsumexp(0).argmax(-1) for log_probs in parts])
     return 100 * float((predicted != targets[tested]).double().mean())
 
 
@@ -206,7 +223,9 @@ class _Checkpoint:
 
 def _identity(learner: Learner, features: Tensor, *settings: Any) -> str:
     """Return a checksum of everything that a simulation depends on but its number of rounds."""
-    plain = type(learner).__repr__ is object.__repr__  # it would show an address in memory
-    digest = hashlib.sha256(repr((type(learner).__qualname__ if plain else repr(learner), *settings)).encode())
+    told = learner.fingerprint() if isinstance(learner, Holder) else repr(learner)
+    kind = f"{type(learner).__module__}.{type(learner).__qualname__}"
+    told = re.sub("0x[0-9a-fA-F]+", "", told)  # addresses in memory
+    digest = hashlib.sha256(repr((kind, told, list(features.shape), features.dtype, *settings)).encode())
     digest.update(features.contiguous().flatten().view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()
