@@ -22,6 +22,7 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 SEEDS = tuple(range(100, 120))
@@ -69,22 +70,38 @@ def network(quick: bool) -> Work:
     return lambda: model.fit(inputs, targets, 0, steps=20, **options), len(SEEDS) * 20
 
 
+def gaussian_process(replicas: int, count: int) -> tuple[ModuleType, Any]:
+    """Return the module of the Gaussian process, and one whose parameters have not been fitted."""
+    torch = import_module("torch")
+    gaussian = module("data_efficiency.pilco.gaussian_process", "data_efficiency.gaussian_process")
+    g = module("rng").generator(100, "benchmark")
+    x = torch.randn(replicas, count, 6, generator=g, dtype=torch.float64)
+    y = 0.1 * torch.sin(x @ torch.randn(6, 4, generator=g, dtype=torch.float64) / 6**0.5).mT
+    y = y + 0.01 * torch.randn(y.shape, generator=g, dtype=torch.float64)
+    return gaussian, gaussian.GaussianProcess(x, y, gaussian.initial_hyper(x, y))
+
+
+def likelihood(inducing: int) -> Callable[[bool], Work]:
+    """Return a line search of ten repetitions with 560 transitions, of inducing inputs if there are some: seconds."""
+
+    def make(quick: bool) -> Work:
+        gaussian, model = gaussian_process(10, 560)
+        if inducing:
+            return lambda: gaussian.fit_inducing(model, model.inputs[:, :inducing], 1), 10
+        return lambda: gaussian.fit_hyper(model.inputs, model.targets, model.log_hyper, 1), 10
+
+    return make
+
+
 def pilco(count: int) -> Callable[[bool], Work]:
     """Return PILCO's objective with gradient, one replica and ``count`` transitions: seconds."""
 
     def make(quick: bool) -> Work:
-        torch = import_module("torch")
         planning = module("data_efficiency.pilco.planning", "data_efficiency.pilco")
-        gaussian = module("data_efficiency.pilco.gaussian_process", "data_efficiency.gaussian_process")
         plant = module("data_efficiency.plant.cartpole", "data_efficiency.cartpole").MATLAB
-        generator = module("rng").generator
-        g = generator(100, "benchmark")
-        x = torch.randn(1, count, 6, generator=g, dtype=torch.float64)
-        y = 0.1 * torch.sin(x @ torch.randn(6, 4, generator=g, dtype=torch.float64) / 6**0.5).mT
-        y = y + 0.01 * torch.randn(y.shape, generator=g, dtype=torch.float64)
-        model, _ = gaussian.GaussianProcess(x, y, gaussian.initial_hyper(x, y)).posterior()
+        model, _ = gaussian_process(1, count)[1].posterior()
         shape = planning.PolicyShape(10)
-        policy = shape.initial(plant, 0.1, (0.0, 0.0, 0.0, -0.36, -0.36), generator(100, "policy"))[None]
+        policy = shape.initial(plant, 0.1, (0.0, 0.0, 0.0, -0.36, -0.36), module("rng").generator(100, "policy"))[None]
         return lambda: planning.objective(model, plant, shape, policy), 1
 
     return make
@@ -144,6 +161,8 @@ WORKS: dict[str, Callable[[bool], Work]] = {
     "Deep PILCO: a step of the policy search, per repetition": policy_search,
     "Deep PILCO: a step of the network, per repetition": network,
     **{f"PILCO: objective with gradient, N = {n}": pilco(n) for n in (40, 200, 400)},
+    "PILCO: a line search of the hyper-parameters, N = 560, per repetition of 10": likelihood(0),
+    "PILCO: a line search of 300 inducing inputs, N = 560, per repetition of 10": likelihood(300),
     "Gymnasium: a step of the environment": environment,
     "2D world: a tick, two agents learning, per replica of 10": foraging,
     "CNN: training on 100 labels": cnn("train"),

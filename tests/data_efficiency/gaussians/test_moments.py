@@ -141,7 +141,7 @@ def test_fused_second_moment_equals_the_plain_formula_and_has_its_gradient(monke
     assert torch.autograd.gradcheck(lambda m, s: posterior.moments(Gaussian(m, symmetric(s))), inputs)
     values, sums = posterior.values(x)
     monkeypatch.setattr(squared_exponential, "BLOCK", {"cpu": 600})
-    assert len(squared_exponential._blocks(6, 23, torch.device("cpu"))) == 6
+    assert len(squared_exponential.blocks(6, 23**2, torch.device("cpu"))) == 6
     in_blocks, block_sums = posterior.values(x)
     for got, expected in zip((in_blocks, *block_sums), (values, *sums), strict=True):
         torch.testing.assert_close(got, expected, rtol=1e-12, atol=1e-12)

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from dropout_uncertainty.data_efficiency.gaussians import squared_exponential
 from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.rng import generator
@@ -44,6 +45,17 @@ def test_inducing_likelihood_matches_the_original(golden, close):
         value, gradient = gp.inducing_negative_log_likelihood(case["induce"][None], batched(case))
         close(value, case["fitc_nlml"], name="fitc_nlml")
         close(gradient, case["fitc_dnlml"], 1e-7, "fitc_dnlml")
+
+
+def test_blocks_change_no_likelihood(monkeypatch):
+    x, y = line(30, replicas=3)
+    model = gp.GaussianProcess(x, y, gp.initial_hyper(x, y))
+    flat = model.log_hyper.flatten(0, 1), x.repeat_interleave(2, 0), y.flatten(0, 1)
+    whole = *gp.negative_log_likelihood(*flat), gp.fit_inducing(model, x[:, :5], 3)[0]
+    monkeypatch.setattr(squared_exponential, "BLOCK", {"cpu": 1})
+    parts = *gp.negative_log_likelihood(*flat), gp.fit_inducing(model, x[:, :5], 3)[0]
+    for got, expected in zip(parts, whole, strict=True):
+        torch.testing.assert_close(got, expected, rtol=1e-9, atol=1e-9)
 
 
 def line(count=40, replicas=2, noise=0.05, seed=100):

@@ -17,7 +17,7 @@ from torch.nn.functional import pad
 from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, Moments, identity
 
 LOG2_E = 1 / math.log(2)  # exp(x) = 2^(x log2 e), and powers of 2 take half the time
-# Numbers of a block of N x N arrays worked on at once: 1 MiB of float64, the second-level cache of a current core; on a
+# Numbers of a block of large arrays worked on at once: 1 MiB of float64, the second-level cache of a current core; on a
 # GPU few large blocks are faster than many small ones.
 BLOCK = {"cpu": 2**17, "cuda": 2**26}
 
@@ -351,7 +351,7 @@ def _sums(factors: Sequence[Tensor], curvature: Tensor | None = None) -> tuple[T
     shape = factors[0].shape[:2]
     row, column, outer, inner = (part.flatten(0, 1) for part in factors)
     over_m, over_n = torch.empty_like(inner), torch.empty_like(outer)
-    for block in _blocks(len(outer), outer.shape[1], outer.device):
+    for block in blocks(len(outer), outer.shape[1] ** 2, outer.device):
         w = torch.bmm(row[block], column[block]).exp2_()
         if curvature is not None:
             w *= curvature.flatten(0, 1)[block]
@@ -417,7 +417,7 @@ def _pair_numbers(outputs: int, device: torch.device) -> Tensor:
     return numbers
 
 
-def _blocks(count: int, size: int, device: torch.device) -> list[slice]:
-    """Cut ``count`` square arrays of edge ``size`` into slices of at most ``BLOCK`` numbers."""
-    width = max(1, BLOCK[device.type] // size**2)
+def blocks(count: int, size: int, device: torch.device) -> list[slice]:
+    """Cut ``count`` arrays of ``size`` numbers into slices of at most ``BLOCK`` numbers, or of one array."""
+    width = max(1, BLOCK[device.type] // size)
     return [slice(i, min(i + width, count)) for i in range(0, count, width)]

@@ -15,8 +15,10 @@ from jaxtyping import Float, Int
 from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
+from dropout_uncertainty.data_efficiency.gaussians.moments import identity
 from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import (
     SquaredExponential,
+    blocks,
     nan_cholesky,
     squared_exponential,
 )
@@ -75,9 +77,9 @@ class GaussianProcess:
         whitened = torch.linalg.solve_triangular(factor, cross, upper=False)
         diagonal = noise + (residual - (whitened**2).sum(-2))  # of the conditional covariance of the targets
         scaled = whitened / diagonal[..., None, :]
-        identity = torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
-        inner, also = robust_cholesky(identity + scaled @ whitened.mT)
-        root = torch.linalg.solve_triangular(factor @ inner, identity, upper=False)
+        one = identity(own.shape[-1], own.dtype, own.device)
+        inner, also = robust_cholesky(one + scaled @ whitened.mT)
+        root = torch.linalg.solve_triangular(factor @ inner, one, upper=False)
         weights = (root.mT @ (torch.linalg.solve_triangular(inner, scaled, upper=False) @ self.targets[..., None]))[
             ..., 0
         ]
@@ -120,8 +122,19 @@ def negative_log_likelihood(
 ) -> tuple[Float[Tensor, " B"], Float[Tensor, "B H"]]:
     """Return the negative log marginal likelihood [nat] of B single-output processes and its gradient.
 
-    NaN where the covariance cannot be factorised. No array of D x N x N numbers is made: the sum over n, m of
-    ``W_nm (x_n - x_m)^2`` is ``2 sum_n r_n x_n^2 - 2 x' W x`` with r the row sums of the symmetric W.
+    NaN where the covariance cannot be factorised.
+    """
+    size, device = inputs.shape[1] ** 2, inputs.device
+    parts = [_nll(*(x[block] for x in (log_hyper, inputs, targets))) for block in blocks(len(inputs), size, device)]
+    values, gradients = zip(*parts, strict=True)
+    return torch.cat(values), torch.cat(gradients)
+
+
+def _nll(log_hyper: Tensor, inputs: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the same for a block whose arrays stay in the cache.
+
+    No array of D x N x N numbers is made: the sum over n, m of ``W_nm (x_n - x_m)^2`` is
+    ``2 sum_n r_n x_n^2 - 2 x' W x`` with r the row sums of the symmetric W.
     """
     gram = _gram(inputs, log_hyper[:, None])[:, 0]
     noise = torch.exp(2 * log_hyper[:, -1])
@@ -185,23 +198,36 @@ def fit_hyper(
 def inducing_negative_log_likelihood(
     inducing: Float[Tensor, "R M D"], model: GaussianProcess
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, "R M D"]]:
-    """Return the FITC negative log likelihood [nat], summed over outputs, and its gradient in the inducing inputs."""
-    inducing = inducing.detach().requires_grad_()
-    noise = torch.exp(2 * model.log_hyper[..., -1])[..., None]
-    with torch.enable_grad():
-        own, cross, residual = _inducing_covariances(model.inputs, inducing, model.log_hyper)
-        factor = nan_cholesky(own)
-        whitened = torch.linalg.solve_triangular(factor, cross, upper=False)
-        diagonal = noise + (residual - (whitened**2).sum(-2))
-        scaled = whitened / diagonal[..., None, :]
-        identity = torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
-        inner = nan_cholesky(identity + scaled @ whitened.mT)
-        projected = torch.linalg.solve_triangular(inner, scaled @ model.targets[..., None], upper=False)[..., 0]
-        fit = (model.targets**2 / diagonal).sum(-1) - (projected**2).sum(-1)
-        log_det = diagonal.log().sum(-1) + 2 * inner.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        value = ((fit + log_det + model.inputs.shape[1] * math.log(2 * math.pi)) / 2).sum(-1)
-        (gradient,) = torch.autograd.grad(value.sum(), inducing)
-    return value.detach(), gradient
+    """Return the FITC negative log likelihood [nat], summed over outputs, and its gradient in the inducing inputs.
+
+    The targets have the covariance ``S = Q + diag(c - Q)``, where ``Q = cross' own^-1 cross``: the gradient in S,
+    ``S^-1 - S^-1 y y' S^-1``, gives those in ``cross`` and ``own`` if its diagonal is left out. No N x N array is made.
+    """
+    own, cross, residual = _inducing_covariances(model.inputs, inducing, model.log_hyper)
+    noise, y = torch.exp(2 * model.log_hyper[..., -1])[..., None], model.targets[..., None]
+    factor = nan_cholesky(own)
+    whitened = torch.linalg.solve_triangular(factor, cross, upper=False)
+    diagonal = noise + (residual - (whitened**2).sum(-2))
+    scaled = whitened / diagonal[..., None, :]
+    inner = nan_cholesky(identity(own.shape[-1], own.dtype, own.device) + scaled @ whitened.mT)
+    root = torch.linalg.solve_triangular(inner, scaled, upper=False)  # S^-1 = diag(1 / diagonal) - root' root
+    weights = y / diagonal[..., None] - root.mT @ (root @ y)
+    log_det = diagonal.log().sum(-1) + 2 * inner.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    value = ((y * weights).sum((-2, -1)) + log_det + model.inputs.shape[1] * math.log(2 * math.pi)) / 2
+
+    solved = torch.linalg.solve_triangular(factor.mT, whitened, upper=True)  # own^-1 cross
+    on_diagonal = 1 / diagonal - (root**2).sum(-2) - weights[..., 0] ** 2
+    in_cross = solved * (1 / diagonal - on_diagonal)[..., None, :]
+    in_cross = in_cross - (solved @ root.mT) @ root - (solved @ weights) @ weights.mT
+    in_own = in_cross @ solved.mT  # times -1/2, and twice since both sides of a pair move
+    pull = _pull(cross * in_cross, inducing, model.inputs) - _pull(own * in_own, inducing, inducing)
+    gradient = (pull * torch.exp(-2 * model.log_hyper[..., None, :-2])).sum(1)
+    return value.sum(-1), gradient
+
+
+def _pull(weights: Float[Tensor, "R E M N"], x: Float[Tensor, "R M D"], y: Float[Tensor, "R N D"]) -> Tensor:
+    """Return the sums over n of ``weights[m, n] (y_n - x_m)`` [R, E, M, D]."""
+    return weights @ y[:, None] - weights.sum(-1)[..., None] * x[:, None]
 
 
 def initial_inducing(inputs: Float[Tensor, "R N D"], count: int, seeds: list[int]) -> Float[Tensor, "R M D"]:
@@ -218,11 +244,16 @@ def fit_inducing(
     model: GaussianProcess, start: Float[Tensor, "R M D"], iterations: int
 ) -> tuple[Float[Tensor, "R M D"], Minimum]:
     """Return the inducing inputs of smallest FITC negative log likelihood found from ``start``."""
+    outputs, count = model.targets.shape[1:]
 
     def objective(x: Tensor, numbers: list[int]) -> tuple[Tensor, Tensor]:
-        part = GaussianProcess(model.inputs[numbers], model.targets[numbers], model.log_hyper[numbers])
-        value, gradient = inducing_negative_log_likelihood(x.to(model.inputs).reshape(-1, *start.shape[1:]), part)
-        return value, gradient.flatten(1)
+        points, parts = x.to(model.inputs).reshape(-1, *start.shape[1:]), []
+        for block in blocks(len(numbers), outputs * count * start.shape[1], points.device):
+            chosen = numbers[block]
+            part = GaussianProcess(model.inputs[chosen], model.targets[chosen], model.log_hyper[chosen])
+            parts.append(inducing_negative_log_likelihood(points[block], part))
+        values, gradients = zip(*parts, strict=True)
+        return torch.cat(values), torch.cat(gradients).flatten(1)
 
     found = minimise(objective, start.flatten(1), iterations)
     return found.x.reshape(start.shape), found
@@ -269,5 +300,5 @@ def _inducing_covariances(inputs: Tensor, inducing: Tensor, log_hyper: Tensor) -
     """Return covariances of the inducing points, with the inputs, and the inputs' variance [R, E, 1]."""
     scales, signal = log_hyper[..., :-2], log_hyper[..., -2]
     own = squared_exponential(inducing, inducing, scales, signal)
-    own = own + RIDGE * torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
+    own = own + RIDGE * identity(own.shape[-1], own.dtype, own.device)
     return own, squared_exponential(inducing, inputs, scales, signal), torch.exp(2 * signal)[..., None]
