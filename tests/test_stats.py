@@ -19,6 +19,23 @@ def test_first_crossings():
     assert stats.first_crossings(np.array([0, 2, 1]), 2.0, above=True) == 1
 
 
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_what_is_not_known_is_no_finding():
+    for values in ([0.1, 0.2, np.nan, 0.3, 0.4], [0.1, 0.2, np.inf, 0.3, 0.4]):
+        assert np.isnan(stats.mean_estimate(values).p)
+    curves = np.linspace(9, 1, 9) + np.zeros((6, 1))
+    curves[0, 2] = np.nan
+    assert np.isnan(stats.first_crossings(curves, 5.0)).tolist() == [True] + 5 * [False]
+    assert np.isnan(stats.crossing_interval(curves, 5.0).value)
+    assert np.isnan(stats.crossing_interval(np.empty((0, 9)), 5.0).value)
+    assert stats.median_interval([1.0, 2.0, 3.0]).value == 2
+    assert np.isnan(stats.median_interval([]).value)
+    with pytest.raises(ValueError, match="true or false for each repetition"):
+        stats.share_interval(np.array([np.nan, 0.0, 1.0]))
+    with pytest.raises(ValueError, match=r"one number for each repetition, got shape \[2, 3\]"):
+        stats.t_interval(np.zeros((2, 3)))
+
+
 def test_median_filter_removes_a_single_dip():
     curve = np.array([9.0, 8, 2, 8, 7, 6, 6, 6])
     assert stats.median_filter(curve, 5).min() >= 6

@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import ndimage
 from scipy import stats as scipy_stats
 
@@ -92,13 +92,31 @@ def _unknown(value: float, n: int) -> Estimate:
 
 def _student(value: float, error: float, freedom: float | int, n: int) -> Estimate:
     half95, half90 = (float(error * scipy_stats.t.ppf(q, freedom)) for q in (0.975, 0.95))
+    if not math.isfinite(error):
+        return _unknown(value, n)
     p = 2 * scipy_stats.t.sf(abs(value) / error, freedom) if error > 0 else float(value == 0)
     return Estimate(value, value - half95, value + half95, value - half90, value + half90, float(p), n)
 
 
+def _row(values: Sequence[float] | np.ndarray) -> Float[np.ndarray, " n"]:
+    """Return one number for each repetition; raises ValueError for another shape."""
+    values = np.asarray(values, float)
+    if values.ndim != 1:
+        raise ValueError(f"expected one number for each repetition, got shape {list(values.shape)}")
+    return values
+
+
+def _flags(flags: Sequence[bool] | np.ndarray) -> Bool[np.ndarray, " n"]:
+    """Return whether each repetition has a property; raises ValueError for NaN and other numbers than 0 and 1."""
+    values = _row(flags)
+    if not np.isin(values, (0, 1)).all():
+        raise ValueError(f"expected true or false for each repetition, got {values.tolist()}")
+    return values == 1
+
+
 def mean_estimate(values: Sequence[float] | np.ndarray) -> Estimate:
     """Return the mean of independent repetitions, such as paired differences, by Student's t."""
-    values = np.asarray(values, float)
+    values = _row(values)
     n = len(values)
     if n < 2:
         return _unknown(float(values.mean()) if n else np.nan, n)
@@ -107,7 +125,7 @@ def mean_estimate(values: Sequence[float] | np.ndarray) -> Estimate:
 
 def share_estimate(flags: Sequence[bool] | np.ndarray, claimed: float) -> Estimate:
     """Return a share less a claimed one, with Wilson's intervals; the p-value is that of the exact binomial test."""
-    flags = np.asarray(flags, bool)
+    flags = _flags(flags)
     n = len(flags)
     if n == 0:
         return _unknown(np.nan, 0)
@@ -122,7 +140,7 @@ def difference_of_shares(first: Sequence[bool] | np.ndarray, second: Sequence[bo
 
     The p-value is that of Fisher's exact test.
     """
-    first, second = np.asarray(first, bool), np.asarray(second, bool)
+    first, second = _flags(first), _flags(second)
     n = min(len(first), len(second))
     if n == 0:
         return _unknown(np.nan, 0)
@@ -161,6 +179,8 @@ def bootstrap_estimate(statistic: Statistic, *sizes: int, most: Statistic | None
         float(np.quantile(draws, _expanded(level, n), method="inverted_cdf"))
         for draws, level in ((least_draws, 0.025), (most_draws, 0.975), (least_draws, 0.05), (most_draws, 0.95))
     )
+    if np.isnan(least_draws).any() or np.isnan(most_draws).any():
+        return _unknown(value, n)
     tail = max(min(np.mean(least_draws <= 0), np.mean(most_draws >= 0)), 0.5 / RESAMPLES)
     p = 2 * scipy_stats.t.cdf(scipy_stats.norm.ppf(tail) * ((n - 1) / n) ** 0.5, n - 1)
     return Estimate(value, low, high, low90, high90, min(1.0, float(p)), n)
@@ -196,7 +216,7 @@ def _expanded(level: float, n: int) -> float:
 
 def t_interval(values: Sequence[float] | np.ndarray) -> Interval:
     """Return the mean of independent repetitions with Student's t interval."""
-    values = np.asarray(values, float)
+    values = _row(values)
     n = len(values)
     if n < 2:
         return Interval(float(values.mean()) if n else np.nan, np.nan, np.nan, n)
@@ -206,7 +226,7 @@ def t_interval(values: Sequence[float] | np.ndarray) -> Interval:
 
 def share_interval(flags: Sequence[bool] | np.ndarray) -> Interval:
     """Return the share of true flags with Wilson's interval, which stays within [0, 1] and is not empty at its ends."""
-    flags = np.asarray(flags, bool)
+    flags = _flags(flags)
     n = len(flags)
     if n == 0:
         return Interval(np.nan, np.nan, np.nan, 0)
@@ -244,8 +264,8 @@ def bootstrap_interval(statistic: Statistic, n: int) -> Interval:
     Raises:
         ValueError: if it does not.
     """
-    value = float(statistic(np.arange(n)))
-    if n < 2:
+    value = float(statistic(np.arange(n))) if n else np.nan
+    if n < 2 or np.isnan(value):
         return Interval(value, np.nan, np.nan, n)
     draws = _draws(statistic, (n,))
     # "Not reached" is infinite: quantiles without interpolation never average it with a number.
@@ -256,10 +276,12 @@ def bootstrap_interval(statistic: Statistic, n: int) -> Interval:
 def first_crossings(curves: np.ndarray, threshold: float, *, above: bool = False) -> np.ndarray:
     """Return the index [...] of the first point of curves [..., T] at or below ``threshold``; inf if there is none.
 
-    With ``above``: at or above.
+    With ``above``: at or above. NaN for a curve with NaN before it is reached.
     """
-    reached = curves >= threshold if above else curves <= threshold
-    return np.where(reached.any(-1), reached.argmax(-1), np.inf)
+    reached = (curves >= threshold if above else curves <= threshold) | np.isnan(curves)
+    first = np.where(reached.any(-1), reached.argmax(-1), np.inf)
+    unknown = np.isnan(np.take_along_axis(curves, reached.argmax(-1)[..., None], -1)[..., 0])
+    return np.where(unknown, np.nan, first)
 
 
 def median_filter(curve: np.ndarray, width: int) -> np.ndarray:
@@ -277,8 +299,9 @@ def crossing_interval(curves: np.ndarray, threshold: float, *, width: int = 1, a
     return bootstrap_interval(crossing, len(curves))
 
 
-def median_interval(values: np.ndarray) -> Interval:
+def median_interval(values: Sequence[float] | np.ndarray) -> Interval:
     """Return the smaller median (at least half are no larger) with a bootstrap interval; values may be infinite."""
+    values = _row(values)
     return bootstrap_interval(lambda i: smaller_median(values[i]), len(values))
 
 

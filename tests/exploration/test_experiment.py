@@ -281,6 +281,12 @@ def test_a_tick_out_of_turn_is_refused():
             process.agents[0].act(np.ones((1, 27)), tick)
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_an_agent_that_has_diverged_does_not_go_on():
+    with pytest.raises(UserError, match="of 2 networks are no longer finite"):
+        run(start(replace(SMALL, learning_rate=50.0), (100, 101)))
+
+
 def test_bad_arguments_are_refused():
     with pytest.raises(ValueError, match="at least one seed"):
         start(SMALL, ())

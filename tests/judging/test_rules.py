@@ -1,5 +1,6 @@
 """Verdicts walked through by hand: where the interval lies decides, and noise is never rewarded."""
 
+import inspect
 import math
 
 import pytest
@@ -81,6 +82,11 @@ def test_a_small_difference_says_so():
     assert rules.small("supported", SMALL_ABOVE, 1.0)
     assert not rules.small("supported", ABOVE, 1.0)
     assert not rules.small("no difference", NARROW, 1.0)
+
+
+def test_a_side_is_less_or_more():
+    with pytest.raises(ValueError, match="claims less or more, got 'lower'"):
+        inspect.unwrap(rules.comparison)(Estimate(-1, -2, -0.5, -1.8, -0.6, 0.01, 10), "lower", 0.1)
 
 
 def test_nan_is_untested():

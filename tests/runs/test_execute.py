@@ -166,6 +166,34 @@ def test_a_checkpoint_of_another_version_is_kept_and_named(tmp_path, checkpoint,
     assert checkpoint.read_bytes() == before
 
 
+class Holding(toy.RandomWalk):
+    """A process whose state cannot be read again."""
+
+    def state(self):
+        return {**super().state(), "position": np.zeros(2)}
+
+
+class Reading(toy.RandomWalk):
+    """A process that needs a file that is not there."""
+
+    def advance(self):
+        return Path("nowhere", "data.csv").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("kind", "message"), [(Holding, "cannot be read again: state"), (Reading, "nowhere")])
+@pytest.mark.usefixtures("every_step")
+def test_what_is_wrong_with_a_process_of_ones_own_is_said_at_once(tmp_path, kind, message):
+    own = replace(toy.unit(), start=lambda config, seeds, **options: kind(config, seeds))
+    with pytest.raises(RunError, match=message):
+        execute.run_unit(own, tmp_path)
+
+
+def test_a_unit_that_is_asked_for_twice_is_computed_once(tmp_path):
+    with ThreadPoolExecutor(2) as pool:
+        first, second = execute.run([toy.unit(), toy.unit()], executor=pool, folder=str(tmp_path), progress=False)
+    assert first.path == second.path
+
+
 def test_two_processes_do_not_compute_the_same_unit(tmp_path):
     process = child(tmp_path, "execute.run_unit(toy.unit(seconds=0.3), folder)")
     deadline = time.monotonic() + 60

@@ -232,6 +232,14 @@ def test_pickles_are_not_loaded(path):
         records.read(path)
 
 
+def test_only_records_of_one_config_are_joined(path, tmp_path):
+    other = records.write(tmp_path / "toy" / "ours" / "b" / "100-101.npz", ARRAYS, {**header(), "name": "ours/b"})
+    assert records.joined([records.read(path)])[0] == (100, 101)
+    for found in ([], [records.read(path), other]):
+        with pytest.raises(RecordError, match="expected records of one config and precision"):
+            records.joined(found)
+
+
 def test_a_missing_record_and_an_unwritable_folder(tmp_path):
     with pytest.raises(RecordError, match="there is no record"):
         records.read(tmp_path / "none.npz")

@@ -1,6 +1,7 @@
 """What the learners of section 5.4 share: trials on the real plant, their log, counts, timings and checkpoint."""
 
 import contextlib
+import copy
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -56,7 +57,7 @@ class Learner:
             "costs": (steps,),  # realised, of the true states 1 ... T
         }
         self.log = self._blank(sizes, self.total)
-        self.counts = {name: torch.zeros(len(seeds), self.total, dtype=torch.int64) for name in self.COUNTS}
+        self.counts = {name: torch.zeros(len(self.seeds), self.total, dtype=torch.int64) for name in self.COUNTS}
         self.seconds = {name: [0.0] * self.total for name in self.PARTS}  # CPU, all repetitions
 
     def advance(self) -> str:
@@ -126,12 +127,12 @@ class Learner:
 
     def state(self) -> dict[str, Any]:
         """Return everything needed to continue."""
-        return {name: getattr(self, name) for name in self.STATE}
+        return {name: copy.deepcopy(getattr(self, name)) for name in self.STATE}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from `state()` of a process made with the same arguments."""
         for name, value in state.items():
-            setattr(self, name, value)
+            setattr(self, name, copy.deepcopy(value))
 
     def result(self) -> dict[str, np.ndarray]:
         """Return the counts of each trial, [R, trial]."""

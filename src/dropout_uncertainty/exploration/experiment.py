@@ -150,6 +150,8 @@ class Foraging:
         for name, values in sums.items():
             self.log[name][..., self.done] = values / BLOCK if name == "reward" else values
         self.log["td_error"][..., self.done] = np.stack([agent.mean_squared_error() for agent in self.agents], axis=1)
+        for agent in self.agents:
+            agent.network.check_finite()
         self.done += 1
         if self.held_out is not None and self.done % self.config.held_out_every == 0:
             errors = [np.stack(agent.held_out_errors(), axis=-1) for agent in self.agents]

@@ -18,6 +18,7 @@ from torch import Generator, Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import Masks, check_probability
+from dropout_uncertainty.errors import UserError
 
 __all__ = ["MaskStream", "QNetwork", "keep_units", "product", "td_error"]
 
@@ -147,6 +148,14 @@ class QNetwork:
         """
         self.gradients.addcmul_(self.parameters, self.decayed, value=decay)
         self.parameters.sub_(self.gradients, alpha=rate / batch)
+
+    def check_finite(self) -> None:
+        """Raise UserError where learning has diverged: an agent would take its first action for ever."""
+        if lost := int((~self.parameters.isfinite().all(1)).sum()):
+            raise UserError(
+                f"{lost} of {len(self.parameters)} networks are no longer finite: learning has diverged, take a "
+                "smaller learning_rate"
+            )
 
     def learn(
         self,

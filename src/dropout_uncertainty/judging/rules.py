@@ -48,6 +48,8 @@ def value(difference: Estimate, margin: float) -> Verdict:
 
 def comparison(difference: Estimate, claimed: Side, margin: float) -> Verdict:
     """Judge "A is less (more) than B" by the estimate of A - B."""
+    if claimed not in ("less", "more"):
+        raise ValueError(f"a comparison claims less or more, got {claimed!r}")
     if not enough(difference):
         return "untested"
     if difference.high < 0 or difference.low > 0:

@@ -254,7 +254,14 @@ def _measured(statement: Statement, folder: Path | None) -> Measured | None:
 
 
 def judge(statements: Iterable[Statement], folder: Path | None = None) -> list[Judged]:
-    """Return the statements of one section with the verdicts that the records of ``folder`` give them."""
+    """Return the statements of one section with the verdicts that the records of ``folder`` give them.
+
+    Raises:
+        ValueError: if two statements have one id.
+    """
+    statements = list(statements)
+    if len({s.id for s in statements}) < len(statements):
+        raise ValueError(f"expected an id of its own for each statement, got {[s.id for s in statements]}")
     found = [(statement, _measured(statement, folder)) for statement in statements]
     plain = {s.id: s.verdict(m.difference) if m else "untested" for s, m in found}
     p = {s.id: m.difference.p if m and plain[s.id] != "untested" else math.nan for s, m in found if s.primary}

@@ -35,7 +35,9 @@ class OutOfTime(RunError):
     """There was no time for another step; what was done is kept, and the same call goes on."""
 
 
-def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False, until: float | None = None) -> Record:
+def run_unit(
+    unit: Unit, folder: Path | str | None = None, progress: bool = False, until: float | None = None
+) -> Record:
     """Return the unit's record, computing what is missing of it.
 
     Args:
@@ -49,7 +51,7 @@ def run_unit(unit: Unit, folder: Path | None = None, progress: bool = False, unt
         RunError: if another process is at work on this unit, or its record is there but of another config.
         RecordError: if the record cannot be read or written.
     """
-    folder = folder or records.root()
+    folder = Path(folder or records.root())
     path = _path(unit, folder)
     if path.exists():
         return _existing(path, unit)
@@ -73,7 +75,7 @@ def run(
     units: Iterable[Unit],
     *,
     executor: Executor | None = None,
-    folder: Path | None = None,
+    folder: Path | str | None = None,
     progress: bool = True,
     until: float | None = None,
 ) -> list[Record]:
@@ -85,10 +87,10 @@ def run(
     units = list(units)
     if executor is None:
         return [run_unit(unit, folder, progress, until) for unit in units]
-    here = folder or records.root()
-    missing = [unit for unit in units if not _path(unit, here).exists()]
+    here = Path(folder or records.root())
+    missing = list({path: unit for unit in units if not (path := _path(unit, here)).exists()}.values())
     with tqdm(total=len(units), initial=len(units) - len(missing), unit="unit", disable=not progress) as bar:
-        for unit, record in _completed(executor, missing, folder, until):
+        for unit, record in _completed(executor, missing, here if folder else None, until):
             path = _path(unit, here)
             if not path.exists():  # computed on a machine that does not share our disk
                 records.write(path, record.arrays, record.header)
@@ -108,7 +110,10 @@ def _completed(
         for future in as_completed(futures):
             yield futures[future], future.result()
     except BrokenExecutor:
-        raise RunError("a worker process died; is the memory enough? The same command continues") from None
+        raise RunError(
+            "a worker process died: is the memory enough, and does a script of yours begin its work behind "
+            '`if __name__ == "__main__":`? The same command continues'
+        ) from None
     finally:
         for future in futures:
             future.cancel()
@@ -134,7 +139,8 @@ def _digest(unit: Unit) -> str:
 
 def _compute(unit: Unit, folder: Path, partial: Path, progress: bool, until: float | None) -> Record:
     torch.backends.cudnn.deterministic = True  # the same bits each time, also on a GPU
-    process = unit.start(unit.config, unit.seeds, device=unit.device, precision=unit.precision)
+    with _own_errors(unit):
+        process = unit.start(unit.config, unit.seeds, device=unit.device, precision=unit.precision)
     clock: dict[str, Any] = {"wall_s": 0.0, "cpu_s": 0.0, "interruptions": 0, "rounding": rounding(process)}
     where = records.provenance(unit.device)
     commits, parents = [], []
@@ -149,11 +155,11 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool, until: flo
         clock["rounding"] = min([clock["rounding"], *(one["rounding"] for one in parents)])
     commits = _joined(commits, {key: where[key] for key in CODE})
     with tqdm(total=process.total, initial=process.done, desc=unit.label, disable=not progress) as bar:
-        last, saving = time.monotonic(), 0.0
+        last, saving, readable = time.monotonic(), 0.0, False
         while process.done < process.total:
             if _unwanted():
                 raise CancelledError
-            with _timed(clock):
+            with _own_errors(unit), _timed(clock):
                 status = process.advance()
             bar.set_postfix_str(status, refresh=False)
             bar.update()
@@ -163,6 +169,7 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool, until: flo
             if (late or begin - last > max(CHECKPOINT_SECONDS, 30 * saving)) and process.done < process.total:
                 content = {"state": process.state(), "clock": clock, "commits": commits, "parents": parents}
                 checkpoints.save(partial, content)
+                readable = readable or _readable(partial)
                 last = time.monotonic()
                 saving = last - begin
                 if late:
@@ -176,6 +183,27 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool, until: flo
     record = records.write(_path(unit, folder), process.result(), header)
     partial.unlink(missing_ok=True)
     return record
+
+
+@contextlib.contextmanager
+def _own_errors(unit: Unit) -> Iterator[None]:
+    """Tell what goes wrong with files of the unit's own from what goes wrong with its record."""
+    try:
+        yield
+    except OSError as error:
+        raise RunError(f"{unit.label} stopped: {error}") from error
+
+
+def _readable(partial: Path) -> bool:
+    """Return whether a checkpoint that has been written can be read; raises RunError if not."""
+    try:
+        checkpoints.load(partial)
+    except ValueError:
+        raise RunError(
+            f"the checkpoint {partial} cannot be read again: state() may hold numbers, strings and tensors, and lists, "
+            "tuples and dictionaries of these"
+        ) from None
+    return True
 
 
 def _restore(process: Process, saved: dict[str, Any], partial: Path) -> None:

@@ -335,7 +335,7 @@ def find(
     config: Any = None,
     *,
     name: str | None = None,
-    folder: Path | None = None,
+    folder: Path | str | None = None,
     precision: str | None = None,
     device: str | None = None,
     published: bool | None = None,
@@ -350,7 +350,7 @@ def find(
     Raises:
         RecordError: if one of them cannot be trusted, seeds come twice, or configs of one name differ.
     """
-    folder = folders.existing(folder or root(), folders.RECORDS, "records")
+    folder = folders.existing(Path(folder or root()), folders.RECORDS, "records")
     found = [_kept(path, folder) for path in _files(folder / experiment / (name or ""))]
     hashed = None if config is None else config_hash(config)
     asked = {"name": name, "config_hash": hashed, "precision": precision, "device": device}
@@ -369,7 +369,14 @@ def find(
 def joined(
     found: Sequence[Record], names: Iterable[str] | None = None
 ) -> tuple[tuple[int, ...], dict[str, np.ndarray]]:
-    """Return the seeds of records of one config, in their order, and their arrays (or those named), replicas first."""
+    """Return the seeds of records of one config, in their order, and their arrays (or those named), replicas first.
+
+    Raises:
+        RecordError: if there are no records, or they are of several configs.
+    """
+    if len({(r.header["name"], r.header["config_hash"], r.header["precision"]) for r in found}) != 1:
+        several = sorted({record.label for record in found})
+        raise RecordError(f"expected records of one config and precision, got {several or 'none'}")
     names = found[0].arrays if names is None else names
     arrays = {name: np.concatenate([record.arrays[name] for record in found]) for name in names}
     return tuple(seed for record in found for seed in record.seeds), arrays

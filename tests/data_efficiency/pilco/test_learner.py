@@ -45,6 +45,18 @@ def finished():
     return finish(learner.start(SHORT, (100, 101)))
 
 
+def test_a_state_belongs_to_no_process():
+    process = learner.start(SHORT, (100, 101))
+    process.advance()
+    state = process.state()
+    first, second = (learner.start(SHORT, (100, 101)) for _ in range(2))
+    for other in (first, second):
+        other.restore(state)
+    first.log["costs"][:] = 2.0
+    assert not (state["log"]["costs"] == 2.0).any()
+    assert not (second.log["costs"] == 2.0).any()
+
+
 def test_record_holds_consistent_trials(finished):
     record = finished.result()
     states, forces = (torch.from_numpy(record[name]).double() for name in ("states", "forces"))

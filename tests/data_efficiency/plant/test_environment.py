@@ -1,13 +1,14 @@
 """The Gymnasium environment: its checker, and the same plant behind it."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from dropout_uncertainty.data_efficiency.plant import cartpole
-from dropout_uncertainty.data_efficiency.plant.cost import cost
+from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.rng import generator
 
@@ -43,6 +44,34 @@ def test_a_step_in_floats_is_that_of_the_plant(make, preset, fastest):
     exact = cartpole.step(plant, states, forces, 400)
     got = [step(plant, tuple(s), f) for s, f in zip(states.tolist(), forces.tolist(), strict=True)]
     np.testing.assert_allclose(got, exact, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"dt": 0.5}, {"cart_mass": 0.02, "pole_mass": 0.01, "friction": 5.0, "pole_length": 0.3}, {"friction": 500.0}],
+)
+def test_a_step_of_another_plant_is_cut_finer(make, change):
+    from dropout_uncertainty.data_efficiency.plant.extrapolation import step
+
+    plant = replace(cartpole.PAPER, **change)
+    states = torch.randn(20, 4, generator=generator(100, "states"), dtype=torch.float64)
+    exact = cartpole.step(plant, states, torch.full((20,), 7.0, dtype=torch.float64), 20_000)
+    np.testing.assert_allclose([step(plant, tuple(s), 7.0) for s in states.tolist()], exact, rtol=0, atol=1e-5)
+
+
+def test_a_force_at_its_limit_may_be_rounded(make):
+    moved = []
+    for action in (1.0, np.nextafter(np.float32(1), np.float32(2))):
+        env = make()
+        env.reset(seed=100)
+        moved.append(env.step([action])[4]["state"].tolist())
+    assert moved[0] == moved[1]
+
+
+def test_a_hanging_pole_is_not_balanced(make):
+    plant = replace(cartpole.PAPER, cost_width=2.0)
+    with pytest.raises(ValueError, match="hangs at rest would count as balanced"):
+        solved(plant, torch.zeros(plant.steps))
 
 
 def test_steps_the_plant_and_ends_with_the_trial(make):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.deep_sea.experiment import AGENTS, CONFIGS, REGRET, TIMES, WINDOW, start, units
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.unit import RunError
@@ -100,7 +101,8 @@ def test_seeds_are_cut_into_units():
     [
         ({"policy": "gredy"}, "unknown policy 'gredy'"),
         ({"size": 1}, "at least 2 rows, got a size of 1"),
-        ({"episodes": 15}, "positive multiple of 10, got 15"),
+        ({"episodes": 15}, "positive multiple of 10 up to 32,760, got 15"),
+        ({"episodes": 40_000}, "up to 32,760, got 40000"),
         ({"drop": (0.1, 0.0, 0.0)}, "the first 0 for one-hot inputs"),
         ({"share": 0.0}, r"a share lies in \(0, 1\], got 0.0"),
         ({"anneal_episodes": 0}, "anneal_episodes must be at least 1, got 0"),
@@ -113,3 +115,13 @@ def test_configs_that_make_no_sense_are_refused(settings, message):
         replace(CONFIGS["deep-sea/greedy/5"], **settings)
     with pytest.raises(ValueError, match="at least one seed"):
         start(CONFIGS["deep-sea/greedy/5"], ())
+    with pytest.raises(ValueError, match="once only"):
+        start(CONFIGS["deep-sea/greedy/5"], (100, 100))
+    with pytest.raises(UserError, match="float32 or float64"):
+        start(CONFIGS["deep-sea/greedy/5"], (100,), precision="bfloat16")
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_an_agent_that_has_diverged_does_not_dive_on():
+    with pytest.raises(UserError, match="networks are no longer finite"):
+        run(start(replace(SMALL["greedy"], learning_rate=50.0), SEEDS))

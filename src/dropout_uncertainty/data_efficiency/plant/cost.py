@@ -6,6 +6,8 @@ cost is flat far from the goal; only the spread of an uncertain state gives it a
 expectation is what PILCO minimises.
 """
 
+import math
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -68,10 +70,15 @@ def solved(plant: CartPole, costs: Float[Tensor, "*batch steps"]) -> Bool[Tensor
     """Return whether a trial with these realised costs of steps 1 ... T ended with the pole balanced.
 
     Raises:
-        ValueError: if there is not one cost per step of the plant.
+        ValueError: if there is not one cost per step of the plant, or these costs cannot tell up from down.
     """
     if costs.shape[-1] != plant.steps:
         raise ValueError(f"expected {plant.steps} costs, one per step of the trial, got {costs.shape[-1]}")
     if plant.solved_steps > plant.steps:
         raise ValueError(f"a trial of {plant.steps} steps cannot be judged on its last {plant.solved_steps}")
+    hanging = 1 - math.exp(-2 * (plant.pole_length / plant.cost_width) ** 2)
+    if hanging < SOLVED_BELOW:
+        raise ValueError(
+            f"a pole that hangs at rest would count as balanced, at a cost of {hanging:.2g}: take a smaller cost_width"
+        )
     return costs[..., -plant.solved_steps :].mean(-1) < SOLVED_BELOW

@@ -18,6 +18,9 @@ except ImportError as missing:
 
 __all__ = ["CartPoleSwingUp"]
 
+#: What a force at its limit may lie above it after rounding.
+ROUNDED = 1e-6
+
 
 class CartPoleSwingUp(gymnasium.Env):
     """One trial of the plant per episode.
@@ -65,10 +68,10 @@ class CartPoleSwingUp(gymnasium.Env):
             share = np.asarray(action, dtype=np.float64).reshape(-1)
         except (TypeError, ValueError):
             share = np.empty(0)
-        if share.size != 1 or not abs(share[0]) <= 1:  # NaN is not
+        if share.size != 1 or not abs(share[0]) <= 1 + ROUNDED:  # NaN is not
             limit = self.plant.force_limit
             raise UserError(f"expected an action of one number in [-1, 1], the share of {limit:g} N, got {action!r}")
-        self._state = moved = step(self.plant, self._state, self.plant.force_limit * float(share[0]))
+        self._state = moved = step(self.plant, self._state, self.plant.force_limit * float(share[0].clip(-1, 1)))
         self._steps += 1
         state = np.array(moved)
         return self._observe(state), self._reward(moved), False, self._steps >= self.plant.steps, {"state": state}

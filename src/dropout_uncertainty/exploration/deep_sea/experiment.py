@@ -14,7 +14,9 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
+from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import check_probability
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.config import NO_DROPOUT, at_least, check_learning
 from dropout_uncertainty.exploration.deep_sea.agent import EPISODES, HELD, Agent, Held
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
@@ -39,6 +41,10 @@ TIMES = (30, 100, 300, 1000, 3000, 10_000)
 NO_BURN_IN = -2
 #: Policies with a temperature that falls.
 COOLED = ("boltzmann", "annealed-thompson")
+
+
+#: Records count episodes in 16 bits.
+MOST_EPISODES = 32_760
 
 
 @dataclass(frozen=True)
@@ -95,8 +101,9 @@ def check(config: Config) -> None:
     at_least(1, members=config.members, anneal_episodes=config.anneal_episodes)
     if config.size < 2:
         raise ValueError(f"a sea has at least 2 rows, got a size of {config.size}")
-    if config.episodes < EPISODES or config.episodes % EPISODES:
-        raise ValueError(f"episodes must be a positive multiple of {EPISODES}, got {config.episodes}")
+    if not EPISODES <= config.episodes <= MOST_EPISODES or config.episodes % EPISODES:
+        wanted = f"a positive multiple of {EPISODES} up to {MOST_EPISODES:,}"
+        raise ValueError(f"episodes must be {wanted}, got {config.episodes}")
     if len(config.drop) != len(config.hidden) + 1 or config.drop[0]:
         raise ValueError(
             f"expected {len(config.hidden) + 1} drop probabilities, the first 0 for one-hot inputs, got {config.drop}"
@@ -169,9 +176,9 @@ class Diving:
     def __init__(
         self, config: Config, seeds: Sequence[int], *, device: str = "cpu", precision: str = "float32"
     ) -> None:
-        if not seeds:
-            raise ValueError("at least one seed is needed, got none")
-        self.config, self.seeds = of_type(Config, config, "config"), tuple(seeds)
+        if precision not in ("float32", "float64"):
+            raise UserError(f"the agents of section 5.3 compute in float32 or float64, not in {precision!r}")
+        self.config, self.seeds = of_type(Config, config, "config"), rng.check_seeds(seeds)
         self.device, self.dtype = device, precision_dtype(precision)
         self.total, self.done = config.episodes // EPISODES, 0
         shape = len(self.seeds), config.size, config.size
@@ -204,6 +211,7 @@ class Diving:
             self.found[self.active, episode] = self.agent.episode(number, visit)
             if episode + 1 in TIMES:
                 self.visits[self.active, TIMES.index(episode + 1)] = self.count[self.active]
+        self.agent.network.check_finite()
         self.done += 1
         self._retire()
         return f"{len(self.active)} go on"
