@@ -200,7 +200,8 @@ class DropoutLearner(Holder):
     @torch.inference_mode()
     def _check_company(self) -> None:
         """Warn if the prediction for an image depends on the others that are predicted with it."""
-        two, three = (self._logits(torch.arange(count)) for count in (2, min(3, len(self.images))))
+        with self._random("company", self.size):
+            two, three = (self._logits(torch.arange(count)) for count in (2, min(3, len(self.images))))
         slack = torch.finfo(two.dtype).eps ** 0.5
         if not torch.allclose(two, three[:2], rtol=slack, atol=slack * float(three.abs().max())):
             warnings.warn(
@@ -221,7 +222,9 @@ class DropoutLearner(Holder):
         return torch.stack(outputs)[None].cpu()
 
     def _logits(self, points: Int[Tensor, " B"]) -> Float[Tensor, "B C"]:
-        first = next(layer for layer in self.network.modules() if layer._parameters)
+        first = next(
+            layer for layer in self.network.modules() if next(layer.parameters(recurse=False), None) is not None
+        )
         weight = next(first.parameters())
         dtype = torch.long if isinstance(first, nn.Embedding) else weight.dtype
         logits = self.network(self.images[points].to(weight.device, dtype))
