@@ -108,7 +108,7 @@ def _row(values: Sequence[float] | np.ndarray) -> Float[np.ndarray, " n"]:
 
 def _flags(flags: Sequence[bool] | np.ndarray) -> Bool[np.ndarray, " n"]:
     """Return whether each repetition has a property; raises ValueError for NaN and other numbers than 0 and 1."""
-    values = _row(flags)
+    values = _row(np.asarray(flags, float))
     if not np.isin(values, (0, 1)).all():
         raise ValueError(f"expected true or false for each repetition, got {values.tolist()}")
     return values == 1

@@ -198,6 +198,11 @@ def _needs_more(name: str, what: str, spec: str, folder: Path | None) -> str:
     return in_words(getattr(needed(pairs.get(name)), what), spec)
 
 
+def _first_trial(name: str, what: str, folder: Path | None) -> str:
+    """Return what a learner's first controlled trial costs, as its model had said or as it was."""
+    return in_words(t_interval(getattr(needed(data_efficiency.load(name, folder)), what)[:, 1]))
+
+
 def _doubt(folder: Path | None) -> str:
     """Return how a step's part in PILCO's gradient goes with the doubt about it, as statement DE11a measures it."""
     learning = needed(data_efficiency.load("pilco-paper", folder))
@@ -215,14 +220,14 @@ def _verdict(identifier: str, folder: Path | None) -> str:
 #: The statements whose verdicts the sentences of the first page give.
 SAID = (
     "AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "EX3a", "EX3e", "EX4", "EX7e", "EX7f", "DE2d", "DE3h", "DE6b", "DE6c",
-    "DE7a", "DE7b", "DE11a",
+    "DE7a", "DE7b", "DE7c", "DE11a",
 )  # fmt: skip
 #: The statements on which the lines of the page "What to use when" rest.
 USED = (
     "AL3e", "AL3f", "AL3g", "AL4a", "AL4b", "AL5b", "AL5c", "AL5e", "AL5f", "AL7a", "AL7b", "AL9c", "AL11",
-    "AL11b", "AL11d", "AL11i", "AL11l", "EX2d", "EX5a", "EX5b", "EX6c", "EX7a", "EX7b", "EX7f", "EX9", "DE1a", "DE2d",
-    "DE2g", "DE3h", "DE4a", "DE4d", "DE5b", "DE5d", "DE6b", "DE6c", "DE7a", "DE7b", "DE7c", "DE8a", "DE8d",
-    "DE9a", "DE9b", "DE13", "DE13b", "DE13e", "DE13f", "DE14a", "DE15",
+    "AL11b", "AL11c", "AL11d", "AL11i", "AL11l", "AL11m", "EX2d", "EX5a", "EX5b", "EX6c", "EX7a", "EX7b", "EX7f", "EX9",
+    "DE1a", "DE2d", "DE2g", "DE3h", "DE4a", "DE4d", "DE5b", "DE5d", "DE6b", "DE6c", "DE7a", "DE7b", "DE7c", "DE8a",
+    "DE8d", "DE9a", "DE9b", "DE13", "DE13b", "DE13e", "DE13f", "DE14a", "DE15",
 )  # fmt: skip
 #: The numbers by name; each is computed from the records of a folder, and raises NotRun without them.
 FACTS: Mapping[str, Callable[[Path | None], str]] = {
@@ -253,6 +258,9 @@ FACTS: Mapping[str, Callable[[Path | None], str]] = {
     "on_mean_cost": lambda folder: _needs_more("mean-network", "cost_difference", ".2f", folder),
     "ensemble_cost": lambda folder: _needs_more("ensemble", "cost_difference", ".2f", folder),
     "alone_cost": lambda folder: _needs_more(worth.ALONE, "cost_difference", ".2f", folder),
+    "sure_pilco_cost": lambda folder: _needs_more("pilco-mean", "cost_difference", ".2f", folder),
+    "sure_pilco_said": lambda folder: _first_trial("doubt/pilco-mean", "predicted_costs", folder),
+    "sure_pilco_was": lambda folder: _first_trial("doubt/pilco-mean", "trial_costs", folder),
     "doubt": _doubt,
     **{name: functools.partial(_verdict, name) for name in SAID},
 }

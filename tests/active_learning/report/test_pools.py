@@ -6,6 +6,7 @@ import pytest
 from dropout_uncertainty.active_learning.experiment import CONFIGS
 from dropout_uncertainty.active_learning.report import chapter, pools
 from dropout_uncertainty.active_learning.report.analysis import Row
+from dropout_uncertainty.stats import mean_estimate
 
 
 def row(name, level, seeds, kind="ambiguous"):
@@ -52,13 +53,21 @@ def test_published_pools_are_what_the_page_was_written_for():
     """Where this fails, read the page *When do weight draws save labels?* and the line on pools in *What to use*."""
     found = pools.load()
     assert {name: len(rows) for name, rows in found.items()} == {
-        "clean": 1, "ambiguous": 3, "repeated": 0, "irrelevant": 0
+        "clean": 1, "ambiguous": 4, "repeated": 0, "irrelevant": 0
     }  # fmt: skip
     verdict = {line[0]: (line[5], line[-1]) for line in chapter.verdicts(found)[1] if line[5]}
-    assert verdict == {"AL11": (20, "supported"), "AL11b": (20, "supported"), "AL11d": (20, "contradicted")}
+    assert verdict == {
+        "AL11": (20, "supported"), "AL11b": (20, "supported"), "AL11c": (9, "inconclusive"), "AL11m": (9, "supported"),
+        "AL11d": (20, "contradicted"),
+    }  # fmt: skip
     assert pools.contrast(found, "ambiguous", "dropout/bald", "softmax/max-entropy").difference.max() < 0
-    bald, entropy = (found["ambiguous"][name] for name in ("dropout/bald", "softmax/max-entropy"))
-    assert pools.noise(bald).mean() < 0.1 < 0.8 < pools.noise(entropy).mean()
+    names = "dropout/bald", "dropout/max-entropy", "softmax/max-entropy"
+    bald, drawn, entropy = (pools.noise(found["ambiguous"][name]).mean() for name in names)
+    assert bald < 0.1 < 0.8 < drawn < entropy
+    by_draws, by_score = (
+        mean_estimate(pools.contrast(found, *pools.CONTRASTS[name]).difference) for name in ("AL11c", "AL11m")
+    )
+    assert by_score.high < by_draws.low - 1  # the disagreement gains more than the draws do
 
 
 def test_every_comparison_is_of_rows_that_are_run():

@@ -57,7 +57,7 @@ def forest(pairs: Sequence[Comparison]) -> Figure | None:
         ax.axvline(0, color=DARK, linewidth=0.9)
         _rows(ax, [_wrapped(f"{PAIRS[found.name]} ({len(found.first.seeds)})") for found in pairs])
     dearer.set_xlabel("cost per step, difference")
-    broken.set_xlabel("realised - predicted cost per step")
+    broken.set_xlabel("realised less predicted cost")
     legend_above(broken)
     return figure
 
