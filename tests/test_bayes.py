@@ -1,5 +1,3 @@
-import inspect
-
 import pytest
 import torch
 
@@ -15,11 +13,6 @@ def test_masks_hold_two_values_and_have_mean_one(p):
     assert abs(mask.mean().item() - 1) < 4 * standard_error
     rows = mask.mean(1)
     assert abs(rows.var().item() / (p / (1 - p) / 1000) - 1) < 0.5, "entries of a row are not independent"
-
-
-def test_a_whole_number_is_a_probability():
-    unchecked = inspect.unwrap(dropout_mask)  # without the check of types under test
-    assert (unchecked((4,), 0, rng.generator(100)) == 1).all()
 
 
 def test_masks_are_the_bernoulli_variates_of_torch_on_a_cpu():
