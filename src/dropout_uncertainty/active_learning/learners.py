@@ -6,7 +6,6 @@ random state is not moved.
 """
 
 import copy
-import hashlib
 import math
 import warnings
 from collections.abc import Callable, Iterator
@@ -22,6 +21,7 @@ from torch import Tensor, nn
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning.inputs import whole
 from dropout_uncertainty.active_learning.loop import Learner
+from dropout_uncertainty.runs.records import checksum
 
 __all__ = ["DropoutLearner", "EnsembleLearner", "Holder", "SklearnLearner"]
 
@@ -158,11 +158,8 @@ class DropoutLearner(Holder):
         with self._random(0):
             module = self.make()
         layers = [{k: v for k, v in vars(layer).items() if not k.startswith("_")} for layer in module.modules()]
-        weights = hashlib.sha256()
-        for name, value in module.state_dict().items():
-            weights.update(f"{name} {value.dtype} {list(value.shape)} ".encode())
-            weights.update(value.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
-        return f"{self!r}, {layers}, {weights.hexdigest()}"
+        weights = {name: value.double().cpu().numpy() for name, value in module.state_dict().items()}
+        return f"{self!r}, {layers}, {checksum(weights)}"
 
     @contextmanager
     def _random(self, *path: str | int) -> Iterator[None]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dropout_uncertainty.bayes import check_probability
+from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.agent import CHUNK
 from dropout_uncertainty.exploration.foraging.world import Rules
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
@@ -108,6 +109,12 @@ def at_least(low: int, **settings: int | float) -> None:
     for name, value in settings.items():
         if value < low:
             raise ValueError(f"{name} must be at least {low}, got {value}")
+
+
+def check_precision(precision: str) -> None:
+    """Raise UserError for a precision in which the agents' matrix products are not to be had."""
+    if precision not in ("float32", "float64"):
+        raise UserError(f"the agents of section 5.3 compute in float32 or float64, not in {precision!r}")
 
 
 def check_learning(config: Any) -> None:

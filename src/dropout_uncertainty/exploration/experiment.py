@@ -9,9 +9,8 @@ import numpy as np
 import torch
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.agent import CHUNK, STATE_SIZE, Agent
-from dropout_uncertainty.exploration.config import BLOCK, NO_DROPOUT, AgentConfig, Config, make_policy
+from dropout_uncertainty.exploration.config import BLOCK, NO_DROPOUT, AgentConfig, Config, check_precision, make_policy
 from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.exploration.foraging.world import World
 from dropout_uncertainty.runs import sweep
@@ -120,8 +119,7 @@ class Foraging:
     def __init__(
         self, config: Config, seeds: Sequence[int], *, device: str = "cpu", precision: str = "float32"
     ) -> None:
-        if precision not in ("float32", "float64"):
-            raise UserError(f"the agents of section 5.3 compute in float32 or float64, not in {precision!r}")
+        check_precision(precision)
         self.config, self.seeds = of_type(Config, config, "config"), rng.check_seeds(seeds)
         self.total, self.done = config.ticks // BLOCK, 0
         self.world = World(world.start_numbers(self.seeds), len(config.agents), config.rules)

@@ -393,7 +393,7 @@ def _kept(path: Path, folder: Path) -> Record:
     return replace(record, header=json.loads(json.dumps(record.header)), arrays=dict(record.arrays))
 
 
-@cache  # all that are published take 43 MB; a limit below their number would read each again and again
+@cache  # with a limit below the number of records every reading of all would read each again
 def _verified(path: Path, folder: Path, _: tuple[int, ...]) -> Record:
     return read(path, folder)
 

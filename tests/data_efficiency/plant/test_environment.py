@@ -55,8 +55,15 @@ def test_a_step_of_another_plant_is_cut_finer(make, change):
 
     plant = replace(cartpole.PAPER, **change)
     states = torch.randn(20, 4, generator=generator(100, "states"), dtype=torch.float64)
-    exact = cartpole.step(plant, states, torch.full((20,), 7.0, dtype=torch.float64), 20_000)
+    exact = cartpole.step(plant, states, torch.full((20,), 7.0, dtype=torch.float64), 4_000)
     np.testing.assert_allclose([step(plant, tuple(s), 7.0) for s in states.tolist()], exact, rtol=0, atol=1e-5)
+
+
+def test_a_plant_that_moves_too_fast_is_named(make):
+    from dropout_uncertainty.data_efficiency.plant.extrapolation import step
+
+    with pytest.raises(ValueError, match=r"moves too fast for a control interval of 0\.1 s"):
+        step(replace(cartpole.PAPER, friction=1e6), (0.0, 1.0, 0.0, 3.0), 7.0)
 
 
 def test_a_force_at_its_limit_may_be_rounded(make):

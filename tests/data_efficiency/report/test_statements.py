@@ -57,6 +57,12 @@ def test_a_model_that_is_right_at_first_and_wrong_later(verdict):
     assert verdict("DE7d", doubt__pilco_mean=learner("right", 3)) == "no difference"
 
 
+def test_a_model_is_judged_by_repetitions_and_not_by_trials(monkeypatch):
+    found = learner("sure", 3)
+    monkeypatch.setattr(statements, "load", lambda name, folder: found)
+    assert statements.fades("doubt/pilco-mean", None).difference.n == RUNS
+
+
 def test_what_many_dimensions_are_judged_by(verdict):
     near, far = learner("near", 3, 0.1), learner("far", 3, 0.2)
     deep, pilco = "many_dimensions__deep_pilco", "many_dimensions__pilco"

@@ -25,6 +25,9 @@ def step(plant: cartpole.CartPole, state: State, force: float) -> State:
     Gragg's midpoint rule goes through each piece of the interval in 2, 4 and 6 parts, and the three ends are
     extrapolated to infinitely many: order 6 (Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I,
     section II.9).
+
+    Raises:
+        ValueError: if it moves too fast for that.
     """
     gravity, friction, length = plant.gravity, plant.friction, plant.pole_length
     rod, total = 3 * plant.pole_mass, plant.cart_mass + plant.pole_mass
@@ -37,7 +40,7 @@ def step(plant: cartpole.CartPole, state: State, force: float) -> State:
         return dv, ((6 * pull - turn) * cos + 6 * total * gravity * sin) / (length * denominator)
 
     pieces = PIECES + int(PIECES_PER_SPEED * abs(state[2]))
-    while True:
+    while pieces <= MOST_PIECES:
         end, difference = state, 0.0
         try:
             for _ in range(pieces):
@@ -48,9 +51,10 @@ def step(plant: cartpole.CartPole, state: State, force: float) -> State:
                 difference += max(abs((9 * c - 4 * b) / 5 - z) for b, c, z in zip(*ends[1:], end, strict=True))
         except (ValueError, OverflowError):  # the sine of infinity
             difference = math.inf
-        if difference <= DIFFERENCE or pieces > MOST_PIECES:
+        if difference <= DIFFERENCE:
             return end
         pieces *= 2
+    raise ValueError(f"{plant} moves too fast for a control interval of {plant.dt:g} s: take a smaller dt")
 
 
 def step_each(

@@ -284,6 +284,11 @@ def repeats(learning: Learning, trial: int) -> Float[np.ndarray, "R M times 4"]:
     return np.concatenate((learning.arrays["states"][:, trial, None].astype(float), further), 1)
 
 
+def angles(states: Float[np.ndarray, "R trial times 4"], trials: Sequence[int]) -> Float[np.ndarray, "R trials T"]:
+    """Return the pole's angle at times 1 ... T of some trials; a list and a number in one index would move axes."""
+    return states[:, list(trials), 1:][..., 3].astype(float)
+
+
 def steps_predicted(learning: Learning, trial: int) -> Float[np.ndarray, " R"]:
     """Return for how many steps from the start the true trials of a policy went as the model had said.
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from dropout_uncertainty.data_efficiency.report.analysis import (
     LATER,
     Learning,
+    angles,
     excess_on_predictable,
     load,
     share_solved,
@@ -185,7 +186,7 @@ def fades(config: str, folder: Path | None) -> Measured:
     """
     learning = needed(load(config, folder))
     trials = [trial for trial in LATER if trial <= learning.trials]
-    true, mean = (learning.arrays[name][:, trials, 1:, 3].astype(float) for name in ("states", "predicted_mean"))
+    true, mean = (angles(learning.arrays[name], trials) for name in ("states", "predicted_mean"))
     right = np.abs(true - mean) * learning.plant.pole_length < learning.plant.cost_width
     fifth = right.shape[-1] // 5
     return on_average(right[..., :fifth].mean((1, 2)) - right[..., -fifth:].mean((1, 2)), learning.records)

@@ -16,8 +16,7 @@ from jaxtyping import Bool, Float
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import check_probability
-from dropout_uncertainty.errors import UserError
-from dropout_uncertainty.exploration.config import NO_DROPOUT, at_least, check_learning
+from dropout_uncertainty.exploration.config import NO_DROPOUT, at_least, check_learning, check_precision
 from dropout_uncertainty.exploration.deep_sea.agent import EPISODES, HELD, Agent, Held
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
 from dropout_uncertainty.runs import sweep
@@ -176,8 +175,7 @@ class Diving:
     def __init__(
         self, config: Config, seeds: Sequence[int], *, device: str = "cpu", precision: str = "float32"
     ) -> None:
-        if precision not in ("float32", "float64"):
-            raise UserError(f"the agents of section 5.3 compute in float32 or float64, not in {precision!r}")
+        check_precision(precision)
         self.config, self.seeds = of_type(Config, config, "config"), rng.check_seeds(seeds)
         self.device, self.dtype = device, precision_dtype(precision)
         self.total, self.done = config.episodes // EPISODES, 0

@@ -15,7 +15,7 @@ from dropout_uncertainty.data_efficiency.ablations.scaling import AXES, METHODS
 from dropout_uncertainty.data_efficiency.ablations.variants import VARIANTS
 from dropout_uncertainty.data_efficiency.deep_pilco.particles import MATCHING
 from dropout_uncertainty.data_efficiency.plant.drawing import DARK
-from dropout_uncertainty.data_efficiency.report.analysis import Learning
+from dropout_uncertainty.data_efficiency.report.analysis import Learning, angles
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, band, legend_above
 from dropout_uncertainty.stats import Interval, t_interval
 
@@ -193,7 +193,7 @@ def clouds(axes: Sequence[Axes], seen: Inside, pilco: Learning | None = None) ->
         band(hits, t, seen.covered(cloud).mean((1, 3)), colour=colour, label=words, linestyle=dash)
     if pilco is not None:
         trials = [trial for trial in seen.measured if trial <= pilco.trials]
-        spread, style = np.log10(pilco.predicted_std[:, trials, 1:, 3]).mean(1), {"label": "PILCO", "linestyle": ":"}
+        spread, style = np.log10(angles(pilco.predicted_std, trials)).mean(1), {"label": "PILCO", "linestyle": ":"}
         band(width, t, spread, colour=COLOURS["pilco"], **style)
         band(hits, t, pilco.covered[:, trials].mean((1, 3)), colour=COLOURS["pilco"], **style)
     hits.axhline(NOMINAL, color=DARK, linewidth=0.8, linestyle=":")
