@@ -1,6 +1,7 @@
 """Intervals, estimates, paired differences and crossings of curves: thin over ``scipy.stats`` and ``scipy.ndimage``.
 
 An `Interval` describes; an `Estimate` carries what a verdict needs (``judging.rules``).
+What is not one number, or not true or false, for each repetition raises ValueError.
 """
 
 import math
