@@ -8,7 +8,7 @@ from IPython.core.pylabtools import retina_figure
 from matplotlib.figure import Figure
 from PIL import Image
 
-from dropout_uncertainty.page import plotting
+from dropout_uncertainty.page import dark_pages, plotting
 
 
 def test_a_small_png_looks_like_a_large_one(monkeypatch):
@@ -38,6 +38,21 @@ def test_a_small_png_looks_like_a_large_one(monkeypatch):
     shades = {tuple(round(255 * part) for part in mpl.colors.to_rgb(colour)) for colour in plotting.COLOURS.values()}
     for shade in shades:  # colours carry meaning
         assert away[(full == shade).all(-1)].max() <= 8
+
+
+def test_a_pale_ground_is_to_be_seen_on_dark_pages_too(monkeypatch):
+    monkeypatch.setenv(dark_pages.TWICE, "1")
+    with plotting.style():
+        figure = Figure(figsize=(7, 3))
+        for ax in figure.subplots(1, 2):
+            ax.axvspan(-0.05, 0.05, color="#eeeeee")
+            for row, colour in enumerate(plotting.COLOURS.values()):
+                ax.plot([-0.1, 0.2], [row, row + 0.5], "o-", color=colour)
+        light, metadata = plotting.small_png(figure)
+    for encoded, ground in ((light, 255), (metadata[dark_pages.KEY], 18)):
+        shades = np.asarray(Image.open(io.BytesIO(base64.b64decode(encoded))).convert("L"), dtype=int)
+        pale = (np.abs(shades - ground) > 8) & (np.abs(shades - ground) < 20)
+        assert pale.mean() > 0.1, ground
 
 
 def test_an_empty_figure_is_not_shown():

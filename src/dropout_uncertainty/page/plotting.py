@@ -117,7 +117,8 @@ def _drawn(figure: Figure, ground: str) -> tuple[str, dict[str, Any]] | None:
     if picture is None:
         return None
     full, size = Image.open(io.BytesIO(picture[0])).convert("RGB"), picture[1]
-    few, file = full.quantize(method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE), io.BytesIO()
+    # an octree would be quicker, but takes pale grounds of a dark picture for its ground
+    few, file = full.quantize(method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE), io.BytesIO()
     parts = [round(255 * part) for part in mpl.colors.to_rgb(ground)]
     palette = np.array(few.getpalette()).reshape(-1, 3)
     palette[np.abs(palette - parts).max(1) < 4] = parts  # the ground stays what it is
