@@ -56,9 +56,9 @@ def test_the_tally_counts_statements_by_kind(results):
 #: What the sentences of the first page were written for. Where this changes, write them again.
 HEADLINES = {
     "AL3f": "no difference", "AL3g": "inconclusive", "AL7a": "confirmed", "AL7b": "confirmed", "AL8a": "confirmed",
-    "EX3a": "supported", "EX3e": "refuted", "EX4": "refuted", "EX7e": "supported", "EX7f": "contradicted",
-    "DE2d": "supported", "DE3h": "contradicted", "DE6b": "supported",
-    "DE6c": "no difference", "DE7a": "supported", "DE7b": "supported", "DE7c": "supported", "DE11a": "contradicted",
+    "EX3a": "supported", "EX3c": "contradicted", "EX3e": "refuted", "EX4": "refuted", "EX7e": "supported",
+    "EX7f": "contradicted", "DE2d": "supported", "DE3h": "contradicted", "DE6b": "supported", "DE6c": "no difference",
+    "DE7a": "supported", "DE7b": "supported", "DE7c": "supported", "DE11a": "contradicted",
 }  # fmt: skip
 
 

@@ -219,8 +219,8 @@ def _verdict(identifier: str, folder: Path | None) -> str:
 
 #: The statements whose verdicts the sentences of the first page give.
 SAID = (
-    "AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "EX3a", "EX3e", "EX4", "EX7e", "EX7f", "DE2d", "DE3h", "DE6b", "DE6c",
-    "DE7a", "DE7b", "DE7c", "DE11a",
+    "AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "EX3a", "EX3c", "EX3e", "EX4", "EX7e", "EX7f", "DE2d", "DE3h", "DE6b",
+    "DE6c", "DE7a", "DE7b", "DE7c", "DE11a",
 )  # fmt: skip
 #: The statements on which the lines of the page "What to use when" rest.
 USED = (

@@ -265,7 +265,7 @@ STATEMENTS: list[Statement] = [
                "Section 5.2, text to Table 5.1", "equality", 0.1, partial(slope, name), unit="points per 100 labels")
         for letter, name in zip("abcd", ("random", *(f"dropout/{score}" for score in SCORES)), strict=True)
     ),
-    in_pool("AL11", "Where images are ambiguous, weight draws choose better labels: BALD against the entropy of one "
+    in_pool("AL11", "Where images are ambiguous, BALD over weight draws chooses better labels than the entropy of one "
             "pass.", WORDS, primary=True),
     *(
         in_pool(name, f"{LABELS[first]} errs less than {LABELS[second]} on the {pool} pool.", WORDS)

@@ -174,8 +174,8 @@ def in_words(pilco: Learning, ours: Learning, written: Learning | None = None) -
             f"{written.solved_by(40).value:.0%} by trial 40. But only just: of the trials after the first solved one "
             f"{written.solved[written.later].mean():.0%} are solved (ours: {ours.solved[ours.later].mean():.0%}), at a "
             f"cost of {written.trial_costs[written.later].mean():.2f} a step (ours: "
-            f"{ours.trial_costs[ours.later].mean():.2f}). The model is not to blame, which said "
-            f"{written.predicted_costs[written.later].mean():.2f}; the policy improves slowly, as the curve shows, "
-            "and has the pole up when the trial is nearly over."
+            f"{ours.trial_costs[ours.later].mean():.2f}). The model had said "
+            f"{written.predicted_costs[written.later].mean():.2f}, so it does not promise too much; the policy "
+            "improves slowly, as the curve shows, and has the pole up when the trial is nearly over."
         )
     return Words(text)

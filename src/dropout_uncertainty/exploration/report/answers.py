@@ -120,7 +120,7 @@ def found(dives: Seas, size: int, episodes: int = HORIZON) -> str:
 READINGS: dict[str, dict[Verdict, str]] = {
     "EX3c": {
         "supported": "So the draws are what holds the agent back, as the footnote says.",
-        "contradicted": "So it is not its draws that hold the agent back: without them, late, it does no better.",
+        "contradicted": "So it is not its draws that hold the agent back: without them, late, it does worse.",
         "no difference": "So it is not its draws that hold the agent back: without them, late, it does as well.",
         "inconclusive": "So the footnote's reason stays open.",
         "untested": "So the footnote's reason stays open.",

@@ -298,7 +298,7 @@ STATEMENTS: list[Statement] = [
     quoted("EX8b", "On Atari, it learns faster than DQN on more games (8) than not (5), by area under the curve."),
     quoted("EX8c", "On Atari, Boltzmann exploration beats Thompson sampling's score on more games (8) than not (4)."),
     quoted("EX8d", "On Atari, it learns faster than Thompson sampling on more games (9) than not (3)."),
-    dived("EX9", "Uncertainty tells an agent when to explore: where reward is deep, an agent that holds a draw of its "
-          "weights for an episode finds it more often than ε-greedy.", "epsilon-greedy", primary=True),
-    dived("EX9b", "There a draw held for an episode finds it more often than a draw per move.", "dropout-per-move"),
+    dived("EX9", "Uncertainty tells an agent when to explore: an agent that holds a draw of its weights for an episode "
+          "solves Deep Sea of size 10 more often than ε-greedy.", "epsilon-greedy", primary=True),
+    dived("EX9b", "A draw held for an episode solves it more often than a draw per move.", "dropout-per-move"),
 ]  # fmt: skip

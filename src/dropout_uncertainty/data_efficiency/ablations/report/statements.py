@@ -141,7 +141,7 @@ STATEMENTS: list[Statement] = [
            would_test="the cost that a Gaussian of each dimension adds; that of a full one was measured"),
     stated("DE4f", "Matching of each dimension by itself smooths the gradient (log of variances).", CRUCIAL, "more",
            MARGIN_LOG, partial(seen, lambda x: x.log_gradient_ratio("off", "diagonal"))),
-    stated("DE5a", "Few fresh particles estimate the objective without bias: 30, with full matching, against 100.",
+    stated("DE5a", "The bias of 30 fresh particles, moments matched, against 100 is too small to matter.",
            FRESH, "equality", MARGIN_COST, partial(seen, lambda x: x.bias("full")[:, list(x.counts).index(30)]),
            unit="cost per step"),
     stated("DE5b", "Fixed particles with BFGS end at a higher objective than fresh ones with Adam.", FRESH, "more",
