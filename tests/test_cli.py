@@ -52,7 +52,7 @@ def test_results_are_json_with_the_agreed_fields():
     outcome = command("results", "--json")
     assert outcome.returncode == 0, outcome.stderr
     found = json.loads(outcome.stdout)
-    fields = {"id", "unit", "statistic", "thesis", "ours", "low", "high", "seeds", "config", "verdict", "records"}
+    fields = {"id", "unit", "statistic", "thesis", "ours", "low", "high", "seeds", "config", "verdict", "records", "n"}
     assert all(set(result) >= fields for result in found)
     more = {"kind", "primary", "plain", "margin"}
     assert all(set(result) >= fields | more for result in found if result["id"].startswith("statement/"))
@@ -62,9 +62,10 @@ def test_results_are_json_with_the_agreed_fields():
         identifiers
     )
     lines = dict(line.split(": ", 1) for line in command("results").stdout.splitlines())
-    paired = [result for result in found if result.get("n", len(result["seeds"])) < len(result["seeds"])]
-    assert paired, "a statement on pairs has fewer of them than its rows have seeds"
-    assert all(f"; {result['n']} seeds)" in lines[result["id"]] for result in paired)
+    assert all(f"; {result['n']} repetitions)" in lines[result["id"]] for result in found)
+    assert all(len(set(result["seeds"])) == len(result["seeds"]) for result in found)
+    pairs = {result["id"]: result["n"] for result in found}
+    assert (pairs["two-by-two/contrast/acting"], pairs["ends/naf/terminal/difference"]) == (20, 5)
 
 
 def test_a_broken_record_is_named(tmp_path):

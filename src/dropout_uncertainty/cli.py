@@ -253,8 +253,7 @@ def results(as_json: Annotated[bool, typer.Option("--json", help="print JSON")] 
         return
     for r in found:
         numbers = " ".join(f"{name} {value:g}" for name, value in _numbers(r) if value is not None)
-        count = getattr(r, "n", len(r.seeds))  # a statement on pairs counts only seeds that both have
-        typer.echo(f"{r.id}: {numbers} {r.unit} ({r.statistic}; {count} seeds) {r.verdict or ''}".rstrip())
+        typer.echo(f"{r.id}: {numbers} {r.unit} ({r.statistic}; {r.n} repetitions) {r.verdict or ''}".rstrip())
 
 
 def _numbers(result: Any) -> list[tuple[str, float | None]]:

@@ -8,7 +8,7 @@ import itertools
 import json
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from dropout_uncertainty.data_efficiency import configs as plants
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration import experiment as worlds
 from dropout_uncertainty.runs import execute, executors, records
-from dropout_uncertainty.runs.unit import Unit
+from dropout_uncertainty.runs.unit import Unit, missing
 
 __all__ = ["KERNELS", "REPORT", "run"]
 
@@ -36,7 +36,6 @@ TINY = {
     "learning_start": 99, "burn_in": 100, "ticks": 1_000, "hidden": (16, 16), "basis": 5, "particles": 5,
     "trials": 1, "policy_steps": 2, "policy_iterations": 2, "model_steps": 2, "model_iterations": 2,
 }  # fmt: skip
-DEVELOPMENT = 100
 
 
 def run(out: Path, seconds: float, *, device: str = "cuda", tiny: bool = False, workers: int = 8) -> dict[str, Any]:
@@ -85,7 +84,7 @@ def _attempt(part: Callable[[], dict[str, Any]], until: float) -> dict[str, Any]
 
 def _parts(out: Path, device: str, tiny: bool, workers: int, until: float) -> dict[str, Callable[[], dict[str, Any]]]:
     pools, tables = ([name for name in images.CONFIGS if name.startswith(family)] for family in ("pools/", "ours/"))
-    forty = range(DEVELOPMENT, DEVELOPMENT + (1 if tiny else 40))
+    forty = range(records.DEVELOPMENT, records.DEVELOPMENT + (1 if tiny else 40))
 
     def units(found: Iterable[Unit]) -> list[Unit]:
         return [_cut(unit) for unit in itertools.islice(found, 2)] if tiny else list(found)
@@ -95,8 +94,8 @@ def _parts(out: Path, device: str, tiny: bool, workers: int, until: float) -> di
 
     return {
         "bits": lambda: {"equal": {unit.name: _same_twice(unit) for unit in map(_cut, _kernels(device, 2))}},
-        "pools": recorded(_missing(pools, None, device), workers),
-        "tables": recorded(_missing(tables, range(6, 10), device), workers),
+        "pools": recorded(missing(unit for name in pools for unit in images.units(name, None, device)), workers),
+        "tables": recorded(missing(u for name in tables for u in images.units(name, range(6, 10), device)), workers),
         "deep-pilco": recorded(plants.units("deep-pilco-ours", forty, device)),
         "pilco": recorded(plants.units("pilco-paper", forty, device)),
         "kernels": lambda: {
@@ -107,16 +106,8 @@ def _parts(out: Path, device: str, tiny: bool, workers: int, until: float) -> di
     }
 
 
-def _missing(names: Sequence[str], seeds: Sequence[int] | None, device: str) -> Iterator[Unit]:
-    """Give the units of section 5.2 whose seeds have no record, whatever device the others were made on."""
-    for name in names:
-        for unit in images.units(name, seeds, device):
-            left = records.missing_seeds(unit.experiment, name, unit.config, unit.seeds)
-            yield from images.units(name, left, device) if left else ()
-
-
 def _kernels(device: str, replicas: int) -> list[Unit]:
-    seeds = range(DEVELOPMENT, DEVELOPMENT + replicas)
+    seeds = range(records.DEVELOPMENT, records.DEVELOPMENT + replicas)
     return [replace(section.units(name, seeds[:1], device)[0], seeds=tuple(seeds)) for name, section in KERNELS.items()]
 
 

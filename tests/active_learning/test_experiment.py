@@ -242,3 +242,20 @@ def test_even_minibatches_leave_no_remainder(digits, size):
     assert max(sizes) - min(sizes) <= 1
     assert max(sizes) <= 128
     assert torch.cat(parts, 1).sort().values.tolist() == [list(range(size))]
+
+
+def test_networks_of_one_seed_differ_by_their_path_in_all_their_draws(digits):
+    drawn = {}
+    for path in ((), ("member", 1)):
+        learner = CNNLearner(TINY, (101,), *path, precision="float64", data=digits)
+        learner.fit(torch.arange(30)[None])
+        asked, draw = drawn.setdefault(path, []), learner.network.draw
+        learner.network.draw = lambda *args, asked=asked, draw=draw: asked.append(draw(*args)) or asked[-1]
+        learner.log_probs(torch.arange(100, 110)[None], 1)
+    (one,), (other,) = drawn.values()
+    assert not torch.equal(one[1], other[1])
+
+
+def test_batch_bald_with_masks_for_each_image_is_refused():
+    with pytest.raises(ValueError, match="set masks_per_image=False"):
+        replace(TINY, acquisition="batch-bald", masks_per_image=True)

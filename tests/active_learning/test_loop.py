@@ -106,3 +106,19 @@ def test_replicas_do_not_share_a_pool():
     with pytest.raises(ValueError, match="a pool of its own for each replica"):
         acquire(Table(), [pool] * 2, "bald", 5, draws=7, generators=generators)
     assert len(pool.labelled) == 1
+
+
+def test_batch_bald_wants_draws_that_points_share():
+    learner = Table()
+    learner.draws_per_point = True
+    with pytest.raises(ValueError, match="the same for all points, and a Table draws anew for each: take power-bald"):
+        chosen(learner, "batch-bald")
+    assert len(chosen(learner, "power-bald")) == 6
+
+
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+@pytest.mark.parametrize("acquisition", ["bald", "batch-bald", "power-bald"])
+def test_where_all_draws_agree_the_choice_says_that_it_is_random(acquisition):
+    alike = Table(change=lambda x: x[:, :1].expand(-1, 7, -1, -1))
+    (selection,) = acquire(alike, [Pool([0], range(1, 90))], acquisition, 5, draws=7, generators=[rng.generator(100)])
+    assert (selection.tied, selection.all_tied) == (89, True)

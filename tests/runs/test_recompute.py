@@ -35,6 +35,29 @@ def test_a_whole_unit_and_its_first_steps_agree_bit_for_bit(record):
     assert (first.steps, first.arrays, first.problems) == (2, ["path"], [])
 
 
+def test_a_step_may_settle_several_entries(record):
+    class Blocks(toy.RandomWalk):
+        """The same walk in steps of four."""
+
+        PER_STEP = 4
+
+        def __init__(self, config, seeds):
+            super().__init__(config, seeds)
+            self.total //= self.PER_STEP
+
+        def advance(self):
+            before = self.done
+            for place in range(self.PER_STEP):
+                self.done = before * self.PER_STEP + place
+                super().advance()
+            self.done = before + 1
+
+    unit = replace(toy.unit(), start=lambda config, seeds, **options: Blocks(config, seeds))
+    for seconds, steps in ((0.0, 2), (np.inf, 10)):
+        found = recompute(unit, record, seconds, progress=False)
+        assert (found.steps, found.arrays, found.problems) == (steps, ["path"], [])
+
+
 def test_a_difference_in_the_first_steps_is_found_and_located(record):
     path = record.arrays["path"].copy()
     path[1, 1] += 1e-12

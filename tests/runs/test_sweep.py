@@ -1,11 +1,15 @@
 """Seeds are cut into units in one way, in every section."""
 
+from dataclasses import replace
+
 import pytest
+import toy
 
 from dropout_uncertainty.active_learning import experiment as active_learning
 from dropout_uncertainty.data_efficiency import configs as data_efficiency
 from dropout_uncertainty.exploration import experiment as exploration
-from dropout_uncertainty.runs.unit import RunError
+from dropout_uncertainty.runs import execute
+from dropout_uncertainty.runs.unit import RunError, missing
 
 #: A config of each kind, the precision of its records, others that it runs in, one that it does not, seeds of a unit.
 KINDS = [
@@ -55,3 +59,17 @@ def test_an_unknown_config_is_named():
         exploration.units("mine", [100])
     with pytest.raises(RunError, match=r"did you mean ours-thompson\?"):
         exploration.units("ours/thompson", [100])
+
+
+def test_a_unit_is_published_or_of_development():
+    units = data_efficiency.units("deep-pilco-ours", range(95, 105))
+    assert [unit.seeds for unit in units] == [tuple(range(95, 100)), tuple(range(100, 105))]
+    with pytest.raises(RunError, match="below 100, or those of development, got both: 98 to 101"):
+        replace(units[0], seeds=(98, 99, 100, 101))
+
+
+def test_what_is_missing_of_units_is_asked_seed_by_seed(tmp_path, monkeypatch):
+    monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(tmp_path))
+    execute.run([toy.unit()])  # seeds 100 and 101
+    wanted = [replace(toy.unit(), seeds=seeds, memory=8.0) for seeds in [(100, 101), (101, 102, 103, 104), (105,)]]
+    assert [(unit.seeds, unit.memory) for unit in missing(wanted)] == [((102, 103, 104), 6.0), ((105,), 8.0)]

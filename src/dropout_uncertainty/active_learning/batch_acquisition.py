@@ -9,6 +9,7 @@ the draws are the same for every point, the choice is random, with the warning o
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -107,8 +108,17 @@ BATCH_ACQUISITIONS: dict[str, Callable[[Tensor, int, Generator], Tensor]] = {
 }
 
 
-def check_name(acquisition: str) -> None:
-    """Raise ValueError unless points can be acquired by that name: "random", a score, or what chooses a batch."""
+def check_name(acquisition: str, learner: Any = None) -> None:
+    """Raise ValueError unless points can be acquired by that name: "random", a score, or what chooses a batch.
+
+    Also for BatchBALD and a learner with draws of its own for each point: then the joint information of points is the
+    sum of that of each, and copies of an image look as good as different ones.
+    """
     names = ["random", *ACQUISITIONS, *BATCH_ACQUISITIONS]
     if acquisition not in names:
         raise ValueError(f"unknown acquisition function {acquisition!r}, choose one of {', '.join(names)}")
+    if acquisition == "batch-bald" and getattr(learner, "draws_per_point", False):
+        raise ValueError(
+            f"batch-bald needs draws of the weights that are the same for all points, and a {type(learner).__name__} "
+            "draws anew for each: take power-bald, or an EnsembleLearner, whose members are the draws"
+        )

@@ -123,6 +123,8 @@ class Config:
             idle(self, ("random_from", "replacement"), "acquisition is not random")
             if self.approximation == "dropout" and not any(self.drop):
                 raise ValueError("there are no weight draws without dropout: choose the approximation softmax")
+        if self.acquisition == "batch-bald" and self.approximation == "dropout" and self.masks_per_image:
+            raise ValueError("batch-bald needs weight draws that all images share: set masks_per_image=False")
         if self.pool_kind != "ambiguous":
             idle(self, ("ambiguous",), f"the pool is {self.pool_kind}")
         if self.approximation != "ensemble":
@@ -320,8 +322,9 @@ class CNNLearner:
         count = features.shape[1] if self.config.masks_per_image else 1
         block = self.scored if self.config.masks_per_image else 0
         self.scored += 1
+        path = ("predict", *self.path, self.round, block)
         return torch.stack(
-            [network.head(features, network.draw(count, "predict", self.round, block, draw)) for draw in range(draws)],
+            [network.head(features, network.draw(count, *path, draw)) for draw in range(draws)],
             1,
         )
 

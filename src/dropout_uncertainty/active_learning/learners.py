@@ -125,11 +125,13 @@ class DropoutLearner(Holder):
     ``make()`` returns the module, of which each fit trains a copy. It takes [B, ...] images as they are in the data
     set, in its own precision, and returns logits [B, C]. When it draws, only what drops units is as in training:
     ``nn.Dropout`` and the dropout within PyTorch's attention and recurrent layers; batch normalisation never is. Each
-    image has masks of its own.
+    image has masks of its own, so "batch-bald" is refused.
 
     Raises:
         ValueError: if a setting is below 1, or (in ``fit``) if the module has no dropout layer or the wrong output.
     """
+
+    draws_per_point = True
 
     def __init__(
         self,

@@ -9,7 +9,8 @@ A learner is whatever can be fitted to labelled points and predict others::
 R is the number of replicas that run side by side; a single classifier has R = 1. S is the number of draws asked for, or
 that of its members for a learner that has a fixed number of them. Candidates come in parts, which bounds the memory: a
 learner may say in an integer attribute ``classes`` how many there are; of others the first two points are predicted
-alone to find out.
+alone to find out. BatchBALD asks what one draw says of several points together: a learner that draws anew for each
+point says so in an attribute ``draws_per_point``, and is refused.
 """
 
 import warnings
@@ -20,7 +21,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Generator, Tensor, nn
 
-from dropout_uncertainty.active_learning.acquisition import Selection, checked, score, select
+from dropout_uncertainty.active_learning.acquisition import Selection, agreed, checked, score, select
 from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS, check_name
 from dropout_uncertainty.active_learning.inputs import numbers, whole
 from dropout_uncertainty.active_learning.pools import Pool
@@ -65,10 +66,10 @@ def acquire(
     all taken, with a warning.
 
     Raises:
-        ValueError: if a pool is empty, the acquisition is unknown, or the learner returns anything but the
-            log-probabilities of these candidates.
+        ValueError: if a pool is empty, the acquisition is unknown or cannot do with this learner's draws, or the
+            learner returns anything but the log-probabilities of these candidates.
     """
-    check_name(acquisition)
+    check_name(acquisition, learner)
     if isinstance(pools, Pool) or isinstance(generators, Generator) or len(pools) != len(generators):
         raise ValueError("expected one pool and one generator for each replica, in two lists of the same length")
     if len({id(pool) for pool in pools}) < len(pools):
@@ -88,8 +89,9 @@ def acquire(
         choose = BATCH_ACQUISITIONS[acquisition]
         log_probs = torch.cat(list(predictions(learner, torch.stack(offered), draws)), 2)
         selections = [
-            Selection(choose(checked(replica), count, generator), 1, False)
+            Selection(choose(checked(replica), count, generator), replica.shape[1] if alike else 1, alike)
             for replica, generator in zip(log_probs, generators, strict=True)
+            for alike in [bool(agreed(replica).all())]  # then there is nothing to choose by
         ]
     else:
         selections = highest(learner, offered, acquisition, count, draws, generators)

@@ -91,7 +91,7 @@ def simulate(
     Raises:
         ValueError: if the data are not as above, or the checkpoint is damaged or of another simulation.
     """
-    check_name(acquisition)
+    check_name(acquisition, learner)
     count, rounds = whole(count, "the count of points to acquire"), whole(rounds, "the number of rounds", 0)
     draws, seed = whole(draws, "the number of weight draws", 0), whole(seed, "the seed", 0)
     subset = None if subset is None else whole(subset, "the size of the subset")

@@ -26,10 +26,11 @@ class Result:
         statistic: what was computed, in words.
         thesis: the printed value; None if the thesis has none.
         ours: None if not reached or not measured; ``low`` and ``high`` limit the 95 % interval.
-        seeds: of the repetitions.
+        seeds: of all repetitions in the records, each once.
         config: name of the config.
         verdict: that of a statement (``judging.rules``); None of all other numbers.
         records: paths of the record files, below the records folder.
+        n: repetitions that the interval rests on, of a paired difference the pairs.
     """
 
     id: str
@@ -43,6 +44,7 @@ class Result:
     config: str
     verdict: str | None
     records: list[str]
+    n: int
 
     def data(self) -> dict[str, Any]:
         """Return the result as JSON data."""
@@ -88,10 +90,11 @@ def measured(
         ours=finite(interval.value),
         low=finite(interval.low),
         high=finite(interval.high),
-        seeds=sorted(seed for record in found for seed in record.seeds),
+        seeds=sorted({seed for record in found for seed in record.seeds}),
         config=config,
         verdict=None,
         records=[record.label for record in found],
+        n=interval.n,
     )
 
 

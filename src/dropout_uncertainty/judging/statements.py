@@ -233,14 +233,12 @@ class StatementResult(Result):
         verdict: adjusted for the other primary statements of its section, if it is one.
         kind, primary, margin: see ``Statement``.
         plain, p, small, why: see ``Judged``.
-        n: repetitions.
     """
 
     kind: Kind
     primary: bool
     plain: Verdict
     margin: float
-    n: int
     p: float | None
     small: bool
     why: str

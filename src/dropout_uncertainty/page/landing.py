@@ -63,7 +63,7 @@ def _ours(result: Result) -> str:
     if result.ours is None:
         return "–"
     low, high = (math.inf if end is None else end for end in (result.low, result.high))
-    return f"{in_words(Interval(result.ours, low, high, len(result.seeds)), '.2g', unbounded='…')} {result.unit}"
+    return f"{in_words(Interval(result.ours, low, high, result.n), '.2g', unbounded='…')} {result.unit}"
 
 
 def tally(found: Iterable[Result] | None = None) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import execute, executors
-from dropout_uncertainty.runs.unit import Unit
+from dropout_uncertainty.runs.unit import Unit, missing
 
 __all__ = ["PROFILES", "check", "complete", "computed"]
 
@@ -21,11 +21,11 @@ def check(profile: str) -> None:
 
 
 def complete(profile: str, *stages: Iterable[Unit]) -> None:
-    """In ``full``, compute the units that have no record yet, one stage after the other; else do nothing."""
+    """In ``full``, compute the repetitions that have no record yet, one stage after the other; else do nothing."""
     if profile == "full":
         with executors.processes() as executor:
             for units in stages:
-                execute.run(units, executor=executor)
+                execute.run(missing(units), executor=executor)
 
 
 @contextlib.contextmanager

@@ -12,9 +12,10 @@ class Process(Protocol):
     """The work of one unit, in steps.
 
     A process may have ``timings()``, computing time by part for the provenance; a number ``ROUNDING``, raised when a
-    change of the code alters the last digits of its results: older records are then recomputed within a tolerance; and
-    ``inherit(folder)``, which lets it stand where records in a folder end and returns these, its parents, as
-    ``records.parent`` names them. Without that call it begins at the beginning, as it does to recompute a record.
+    change of the code alters the last digits of its results: older records are then recomputed within a tolerance; a
+    number ``PER_STEP`` of entries that a step adds to its arrays, where it is not 1; and ``inherit(folder)``, which
+    lets it stand where records in a folder end and returns these, its parents, as ``records.parent`` names them.
+    Without that call it begins at the beginning, as it does to recompute a record.
     """
 
     total: int

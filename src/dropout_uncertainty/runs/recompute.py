@@ -1,8 +1,8 @@
 """Recomputing records: the first steps of a unit are done again and held against what its record says.
 
 An array that grows with the steps of its process has one axis behind that of the replicas which is as long as there are
-steps; its first entries are settled when as many steps are done. Arrays without such an axis, final weights for
-instance, are compared when the whole unit has been recomputed.
+steps, or as ``PER_STEP`` of the process times that; its first entries are settled when as many steps are done. Arrays
+without such an axis, final weights for instance, are compared when the whole unit has been recomputed.
 """
 
 import contextlib
@@ -141,14 +141,15 @@ def _advance(process: Process, seconds: float, label: str, progress: bool) -> fl
 
 def _settled(recorded: np.ndarray, again: np.ndarray | None, process: Process) -> tuple[np.ndarray, np.ndarray] | None:
     """Return what can be compared of an array, None if that is nothing yet."""
-    axes = [axis for axis in range(1, recorded.ndim) if recorded.shape[axis] == process.total]
+    entries = getattr(process, "PER_STEP", 1)
+    axes = [axis for axis in range(1, recorded.ndim) if recorded.shape[axis] == process.total * entries]
     if process.done < process.total and not axes:
         return None
     if again is None:
         return recorded, np.empty(0)
     if process.done == process.total:
         return recorded, again
-    part = (slice(None),) * axes[0] + (slice(process.done),)
+    part = (slice(None),) * axes[0] + (slice(process.done * entries),)
     return recorded[part], again[part]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.process import Process
 from dropout_uncertainty.runs.unit import RunError, Unit
 
@@ -48,7 +49,8 @@ class Sweep:
         if kind not in self.group:
             raise RunError(f"{self.experiment}/{name} runs on {' or '.join(self.group)}, got the device {device}")
         size = self.group[kind]
-        groups = [tuple(seeds[i : i + size]) for i in range(0, len(seeds), size)]
+        apart = [[seed for seed in seeds if (seed < records.DEVELOPMENT) == published] for published in (True, False)]
+        groups = [tuple(part[i : i + size]) for part in apart for i in range(0, len(part), size)]
         return [
             Unit(self.experiment, name, self.start, config, group, device, precision or own, own,
                  self.memory(config) * len(group))

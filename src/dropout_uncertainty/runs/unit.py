@@ -1,8 +1,8 @@
 """One unit of work, (config, seeds, device type, precision), and whether it can be done here."""
 
 import contextlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from dropout_uncertainty.runs.process import Process
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.settings import config_hash
 
-__all__ = ["RunError", "Unit", "check_device", "check_memory", "differing", "only_cpu", "precision_dtype"]
+__all__ = ["RunError", "Unit", "check_device", "check_memory", "differing", "missing", "only_cpu", "precision_dtype"]
 
 PRECISIONS = {"float64": torch.float64, "float32": torch.float32, "bfloat16": torch.bfloat16}
 
@@ -43,6 +43,11 @@ class Unit:
             object.__setattr__(self, "seeds", rng.check_seeds(self.seeds))
         except ValueError as error:
             raise RunError(f"a unit needs seeds that differ: {error}") from None
+        if min(self.seeds) < records.DEVELOPMENT <= max(self.seeds):  # its record would count as neither
+            raise RunError(
+                f"a unit needs published seeds, below {records.DEVELOPMENT}, or those of development, got both: "
+                f"{min(self.seeds)} to {max(self.seeds)}"
+            )
 
     @property
     def label(self) -> str:
@@ -64,6 +69,18 @@ class Unit:
             "device": torch.device(self.device).type,
             "precision": self.precision,
         }
+
+
+def missing(units: Iterable[Unit]) -> Iterator[Unit]:
+    """Yield what is left of units without the seeds that have a record, whatever unit and device that was made in.
+
+    Raises:
+        RecordError: if one of the records cannot be trusted.
+    """
+    for unit in units:
+        left = records.missing_seeds(unit.experiment, unit.name, unit.config, unit.seeds, precision=unit.precision)
+        if left:
+            yield replace(unit, seeds=tuple(left), memory=unit.memory * len(left) / len(unit.seeds))
 
 
 def differing(unit: Unit, record: Record) -> list[str]:

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -268,6 +269,14 @@ def test_the_gradient_of_each_replica_is_limited():
     assert ((found.parameters - policies()).abs().max(1).values < 0.2 * plan.policy_rate).all()
 
 
+def test_threads_do_not_share_the_arrays_of_a_trial():
+    key = torch.Size((1, 2, 3, 4)), 5, (6,), torch.float64, torch.device("cpu")
+    here = trial_gradient._Trial.kept(*key)
+    with ThreadPoolExecutor(1) as other:
+        assert other.submit(trial_gradient._Trial.kept, *key).result() is not here
+    assert trial_gradient._Trial.kept(*key) is here
+
+
 class TestGuard:
     def search(self, values, above=0.9):
         """Return the outcome where successive searches reach the given costs; the parameters tell which was kept."""
@@ -292,6 +301,10 @@ class TestGuard:
     def test_a_policy_without_a_value_is_redrawn(self):
         kept, *_ = self.search({0: [0.5, 0.5, math.nan], 1: [0, 0, 0.8], 2: [0, 0, 0.7]})
         assert kept == [0, 0, 1]
+
+    def test_a_redraw_without_a_value_is_not_kept(self):
+        kept, value, *_ = self.search({0: [0.5, 0.5, 0.99], 1: [0, 0, math.nan], 2: [0, 0, math.nan]})
+        assert (kept, value) == ([0, 0, 0], [0.5, 0.5, 0.99])
 
     def test_a_good_policy_is_not_redrawn(self):
         _, _, redraws, calls = self.search({0: [0.5, 0.5, 0.5]})

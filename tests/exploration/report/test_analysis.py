@@ -1,5 +1,7 @@
 """From records to numbers, statements and curves of section 5.3."""
 
+from dataclasses import replace
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -250,3 +252,10 @@ def test_where_dropout_stands_needs_no_runs(tmp_path):
 def test_an_agent_that_is_not_stored_is_said_to_be_missing(tmp_path):
     with pytest.raises(UserError, match=r"stored runs of the agent 'thompson' .* got those of none: git restores"):
         analysis.load("ours-thompson", tmp_path)["thompson"]
+
+
+def test_two_agents_of_one_policy_are_refused():
+    config = CONFIGS["as-demo"]
+    twice = replace(config, agents=(config.agents[0], replace(config.agents[0], drop=(0.0, 0.1, 0.0))))
+    with pytest.raises(ValueError, match=r"different policies, got \['thompson', 'thompson'\]"):
+        analysis.from_arrays("mine", twice, {}, (100,))

@@ -163,3 +163,8 @@ def test_misuse_is_named(record):
         run(agent, ticks=0)
     with pytest.raises(ValueError, match="runs of one length, got"):
         animation.animation({"thompson": run(agent, ticks=4), "boltzmann": run(agent, ticks=8)})
+
+
+def test_agents_of_one_policy_cannot_be_told_apart():
+    with pytest.raises(ValueError, match="expected agents of different policies, got 'thompson' twice"):
+        animation.compare(["ours-thompson", "as-written"], ticks=8)

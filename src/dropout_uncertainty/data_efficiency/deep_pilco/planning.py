@@ -296,7 +296,7 @@ def guarded(
         if not rows:
             break
         again = search(rows, start[rows], attempt)
-        better = ~(again.value >= best.value[rows])
+        better = (again.value < best.value[rows]) | best.value[rows].isnan()
         chosen = [row for row, yes in zip(rows, better.tolist(), strict=True) if yes]
         best.parameters[chosen], best.value[chosen] = again.parameters[better], again.value[better]
         best.repairs[rows] += again.repairs

@@ -6,9 +6,9 @@ What is left in the loops is the network, forward and back, and moments of four 
 particles K last, where they are contiguous.
 """
 
+import threading
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import cast
+from typing import Any, cast
 
 import torch
 from jaxtyping import Float, Int
@@ -24,6 +24,8 @@ ACTIVATION = {"relu": torch.relu_, "sigmoid": torch.sigmoid_}
 # Rows of `_Trial.inputs`: the network is given the first six, the policy all but the first.
 FORCE, SEEN, SQUARES, ONE = slice(0, 1), slice(1, 6), slice(6, 11), slice(11, 12)
 NETWORK, POLICY = slice(0, 6), slice(1, 12)
+
+_KEPT = threading.local()  # the last trial of each thread, see `_Trial.kept`
 
 
 def covers(draws: Draws, matching: str, cost_of: str) -> bool:
@@ -99,11 +101,17 @@ class _Trial:
     hidden: list[list[Tensor]]  # by step and layer
 
     @classmethod
-    @lru_cache(maxsize=1)
+    def kept(cls, *key: Any) -> "_Trial":
+        """Return what ``empty`` does, the same arrays at each call of a thread: to clear tens of MiB takes long."""
+        if getattr(_KEPT, "key", None) != key:
+            _KEPT.key, _KEPT.trial = key, cls.empty(*key)
+        return _KEPT.trial
+
+    @classmethod
     def empty(
         cls, shape: torch.Size, basis: int, widths: tuple[int, ...], dtype: torch.dtype, device: torch.device
     ) -> "_Trial":
-        """Return the arrays of a trial, the same at each call: the system would clear tens of MiB anew every time."""
+        """Return the arrays of a trial."""
         runs, steps, count, dim = shape
 
         def new(*size: int) -> Tensor:
@@ -122,7 +130,7 @@ class _Trial:
         """Move the particles and keep everything."""
         _, steps, count, dim = draws.noise.shape
         widths = tuple(weight.shape[-1] for weight in networks[0].weights[:-1])
-        trial = cls.empty(draws.noise.shape, matrix.shape[-1], widths, matrix.dtype, matrix.device)
+        trial = cls.kept(draws.noise.shape, matrix.shape[-1], widths, matrix.dtype, matrix.device)
         trial.states[0] = draws.start.mT
         scale, jitter = _jitter(matrix, dim, count)
         for t in range(steps):

@@ -171,6 +171,7 @@ class Diving:
     """R replicas of an agent in Deep Sea; one step of work is ten episodes of those that go on."""
 
     LOGS = ("active", "found", "first", "count", "visits", "length")
+    PER_STEP = EPISODES  # entries of ``found``
 
     def __init__(
         self, config: Config, seeds: Sequence[int], *, device: str = "cpu", precision: str = "float32"
@@ -255,7 +256,7 @@ class Diving:
             "found": self.found,  # [R, episodes] whether the treasure was found; False after the last episode
             "episodes": self.length.astype(np.int16),  # [R] how many were played
             "first_visit": self.first,  # [R, N, N] episode (0, 1, ...) that first entered a cell, -1: never
-            "visits": self.visits,  # [R, times, N, N] visits to every cell in so many episodes, see ``TIMES``
+            "visits": self.visits,  # [R, times, N, N] to every cell in so many episodes (``TIMES``), 0 behind the last
         }
 
 

@@ -158,7 +158,13 @@ def from_records(name: str, found: Sequence[Record]) -> Agents:
 def from_arrays(
     name: str, config: Config, arrays: Mapping[str, np.ndarray], seeds: Sequence[int], found: Sequence[Record] = ()
 ) -> Agents:
-    """Return the agents of a run, from the arrays that ``experiment.Foraging.result`` gives."""
+    """Return the agents of a run by policy, from the arrays that ``experiment.Foraging.result`` gives.
+
+    Raises:
+        ValueError: if two agents have one policy.
+    """
+    if len({agent.policy for agent in config.agents}) < len(config.agents):
+        raise ValueError(f"expected agents of different policies, got {[agent.policy for agent in config.agents]}")
     agents = {}
     for index, agent in enumerate(config.agents):
         mine = {key: values[:, index] for key, values in arrays.items()}

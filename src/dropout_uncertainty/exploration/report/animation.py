@@ -131,8 +131,9 @@ def compare(names: Sequence[str], *, seed: int = 100, ticks: int = 600, folder: 
 
     Raises:
         RecordError: if a config has no record.
+        ValueError: if two of the agents have one policy, by which they are told apart.
     """
-    runs = {}
+    runs: dict[str, list[Moment]] = {}
     for name in names:
         published = records.find(EXPERIMENT, name=name, folder=folder, published=True)
         if not published:
@@ -140,6 +141,8 @@ def compare(names: Sequence[str], *, seed: int = 100, ticks: int = 600, folder: 
             raise RecordError(f"there is no record of {EXPERIMENT}/{name}: `{command}` makes it")
         for number in range(published[0].arrays["weights"].shape[1]):
             agent = TrainedAgent(published[0], agent=number)
+            if agent.name in runs:
+                raise ValueError(f"expected agents of different policies, got {agent.name!r} twice")
             runs[agent.name] = run(agent, seed, ticks)
     return animation(runs)
 

@@ -156,7 +156,7 @@ def results(folder: Path | None = None) -> list[Result]:
 
 
 def _records(*agents: Curves) -> list:
-    return [curves.record for curves in agents if curves.record]
+    return [record for curves in agents for record in curves.records]
 
 
 # ------------------------------------------------------------------ tables
