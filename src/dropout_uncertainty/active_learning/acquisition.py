@@ -131,17 +131,11 @@ def score(acquisition: str, log_probs: ArrayLike) -> Float[Tensor, " N"]:
 
 @dataclass(frozen=True)
 class Selection:
-    """The points chosen from scored candidates.
+    """The points chosen from scored candidates."""
 
-    Attributes:
-        positions: [k] positions among the candidates, best first.
-        tied: how many candidates share the score of the last point chosen (1: no tie at the cut-off).
-        all_tied: whether every candidate has the same score, so that the choice is random.
-    """
-
-    positions: Int[Tensor, " k"]
-    tied: int
-    all_tied: bool
+    positions: Int[Tensor, " k"]  #: [k] positions among the candidates, best first.
+    tied: int  #: how many candidates share the score of the last point chosen (1: no tie at the cut-off).
+    all_tied: bool  #: whether every candidate has the same score, so that the choice is random.
 
 
 def select(scores: ArrayLike, count: int, generator: Generator) -> Selection:

@@ -42,58 +42,48 @@ EVALUATION_BATCH = 1_000
 class Config:
     """Everything that decides the science of one row; `script` means the original program of that row."""
 
+    #: Acquisition function: "random" or a name in ``ACQUISITIONS`` (thesis 5.2) or ``BATCH_ACQUISITIONS``.
     acquisition: str = "random"
-    """Acquisition function: "random" or a name in ``ACQUISITIONS`` (thesis 5.2) or ``BATCH_ACQUISITIONS``."""
+    #: What scores the pool: "dropout" (MC dropout), "softmax" (one deterministic pass) (thesis 5.2) or "ensemble".
     approximation: str = "dropout"
-    """What scores the pool: "dropout" (MC dropout), "softmax" (one deterministic pass) (thesis 5.2) or "ensemble"."""
+    #: Side of the convolution kernels in pixels (thesis 5.2: 4; scripts of Random and Softmax Max Entropy: 3).
     kernel: int = 4
-    """Side of the convolution kernels in pixels (thesis 5.2: 4; scripts of Random and Softmax Max Entropy: 3)."""
+    #: Drop probabilities after the pooling and after the dense layer (thesis 5.2).
     drop: tuple[float, float] = (0.25, 0.5)
-    """Drop probabilities after the pooling and after the dense layer (thesis 5.2)."""
+    #: c of the penalty (c / N) Σ w² on the weights of the dense layer (not in the thesis; scripts: 2.5 or 3.5).
     decay: float = 2.5
-    """c of the penalty (c / N) Σ w² on the weights of the dense layer (not in the thesis; scripts: 2.5 or 3.5)."""
+    #: Rule of the initial weights (not in the thesis; scripts: the Glorot rule as Keras 0.3.1 computes it).
     initialisation: str = "keras-0.3"
-    """Rule of the initial weights (not in the thesis; scripts: the Glorot rule as Keras 0.3.1 computes it)."""
+    #: Whether the network on the 20 initial labels has a second block of two convolutions (scripts: yes).
     four_convolutions_at_start: bool = False
-    """Whether the network on the 20 initial labels has a second block of two convolutions (scripts: yes)."""
-    epochs: int = 50
-    """Passes over the labelled points in each round (not in the thesis; scripts: 50)."""
-    batch: int = 128
-    """Labelled points per step of Adam (not in the thesis; scripts: 128)."""
-    learning_rate: float = 1e-3
-    """Of Adam, with its usual constants (not in the thesis; scripts: 0.001)."""
-    draws: int = 100
-    """Weight draws S that score a pool point (not in the thesis; scripts: 100)."""
+    epochs: int = 50  #: Passes over the labelled points in each round (not in the thesis; scripts: 50).
+    batch: int = 128  #: Labelled points per step of Adam (not in the thesis; scripts: 128).
+    learning_rate: float = 1e-3  #: Of Adam, with its usual constants (not in the thesis; scripts: 0.001).
+    draws: int = 100  #: Weight draws S that score a pool point (not in the thesis; scripts: 100).
+    #: Whether each image has masks of its own (scripts), or all share a draw, which is then a draw of the weights.
     masks_per_image: bool = False
-    """Whether each image has masks of its own (scripts), or all share a draw, which is then a draw of the weights."""
-    per_class: int = 2
-    """Initial labelled points per class; 2 gives 20 labels (thesis 5.2)."""
-    validation: int = 5_000
-    """Points held out for validation; unused by the scripts too (thesis 5.2)."""
-    pool: int | None = 40_000
-    """Points in the pool; None: all that is left, 54,980 (thesis 5.2). Scripts: 40,000."""
+    per_class: int = 2  #: Initial labelled points per class; 2 gives 20 labels (thesis 5.2).
+    validation: int = 5_000  #: Points held out for validation; unused by the scripts too (thesis 5.2).
+    pool: int | None = 40_000  #: Points in the pool; None: all that is left, 54,980 (thesis 5.2). Scripts: 40,000.
+    #: Random candidates scored in each round; None: the whole pool (thesis 5.2). Scripts: 2,000.
     subset: int | None = 2_000
-    """Random candidates scored in each round; None: the whole pool (thesis 5.2). Scripts: 2,000."""
+    #: Random acquisition reaches only the first so many pool points (script of Random: 38,000); None: all.
     random_from: int | None = None
-    """Random acquisition reaches only the first so many pool points (script of Random: 38,000); None: all."""
-    replacement: bool = False
-    """Whether acquired points stay in the pool (script of Random: yes)."""
-    acquired: int = 10
-    """Points labelled in each round (thesis 5.2)."""
-    rounds: int = 98
-    """Acquisition rounds (thesis 5.2: 100; scripts: 98, which ends at 1000 labels)."""
+    replacement: bool = False  #: Whether acquired points stay in the pool (script of Random: yes).
+    acquired: int = 10  #: Points labelled in each round (thesis 5.2).
+    rounds: int = 98  #: Acquisition rounds (thesis 5.2: 100; scripts: 98, which ends at 1000 labels).
+    #: Rounds between test errors averaged over ``draws`` weight draws; 0: never. The thesis uses weight scaling.
     mc_test_every: int = 0
-    """Rounds between test errors averaged over ``draws`` weight draws; 0: never. The thesis uses weight scaling."""
+    #: Whether the minibatches of an epoch are of equal size to one point, or the last is what is left (scripts).
     even_minibatches: bool = field(default=False, metadata={"before": False})
-    """Whether the minibatches of an epoch are of equal size to one point, or the last is what is left (scripts)."""
+    #: What the pool shows: one of ``noisy_pools.KINDS`` (not in the thesis).
     pool_kind: str = field(default="clean", metadata={"before": "clean"})
-    """What the pool shows: one of ``noisy_pools.KINDS`` (not in the thesis)."""
+    #: Share of blended images in the pool of that kind (not in the thesis).
     ambiguous: float = field(default=0.5, metadata={"before": 0.5})
-    """Share of blended images in the pool of that kind (not in the thesis)."""
+    #: Networks of the ensemble where that scores the pool (not in the thesis).
     members: int = field(default=5, metadata={"before": 5})
-    """Networks of the ensemble where that scores the pool (not in the thesis)."""
+    #: Images of the test set, from its beginning, that the error is taken of; None: all (thesis 5.2).
     tested: int | None = field(default=None, metadata={"before": None})
-    """Images of the test set, from its beginning, that the error is taken of; None: all (thesis 5.2)."""
 
     def __post_init__(self) -> None:
         """Raise ValueError where a setting cannot be run."""

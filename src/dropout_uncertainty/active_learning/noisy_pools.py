@@ -34,21 +34,13 @@ RELEVANT = 5
 
 @dataclass(frozen=True)
 class Task:
-    """What one seed's pool shows.
+    """What one seed's pool shows."""
 
-    Attributes:
-        data: images and labels; a label ``NO_LABEL`` says "none of these".
-        split: initial points and pool.
-        noise: whether an image is ambiguous or irrelevant.
-        origin: index of the image that this one was made from.
-        partner: index of the image that it is blended with; its own index where there is none.
-    """
-
-    data: Mnist
-    split: Split
-    noise: Bool[Tensor, " N"]
-    origin: Int[Tensor, " N"]
-    partner: Int[Tensor, " N"]
+    data: Mnist  #: images and labels; a label ``NO_LABEL`` says "none of these".
+    split: Split  #: initial points and pool.
+    noise: Bool[Tensor, " N"]  #: whether an image is ambiguous or irrelevant.
+    origin: Int[Tensor, " N"]  #: index of the image that this one was made from.
+    partner: Int[Tensor, " N"]  #: index of the image that it is blended with; its own index where there is none.
 
     def wasted(self, points: Int[Tensor, " n"]) -> Bool[Tensor, " n"]:
         """Return which of the points, in the order of labelling, are noise or repeat an image labelled before."""

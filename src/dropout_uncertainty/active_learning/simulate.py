@@ -27,19 +27,13 @@ __all__ = ["Curve", "simulate"]
 
 @dataclass(frozen=True)
 class Curve:
-    """What a simulation found.
+    """What a simulation found."""
 
-    Attributes:
-        acquisition: the acquisition function.
-        labels: [T] number of labelled points.
-        error: [T] test error in % after training on them, of the deterministic pass (an ensemble: of its mean).
-        points: [labels[-1]] indices of the labelled points, in the order of labelling.
-    """
-
-    acquisition: str
-    labels: Int[np.ndarray, " T"]
+    acquisition: str  #: the acquisition function.
+    labels: Int[np.ndarray, " T"]  #: [T] number of labelled points.
+    #: [T] test error in % after training on them, of the deterministic pass (an ensemble: of its mean).
     error: Float[np.ndarray, " T"]
-    points: Int[np.ndarray, " n"]
+    points: Int[np.ndarray, " n"]  #: [labels[-1]] indices of the labelled points, in the order of labelling.
 
     def __str__(self) -> str:
         """Return the last point of the curve in words."""

@@ -28,16 +28,14 @@ SCHEDULES: dict[str, dict[str, str]] = {
 class AgentConfig:
     """What distinguishes the agents of one world."""
 
-    policy: str
-    """Behaviour policy, a key of ``POLICIES``."""
-    drop: tuple[float, ...] = NO_DROPOUT
-    """Drop probability before each weight layer: inputs, hidden 1, hidden 2."""
+    policy: str  #: Behaviour policy, a key of ``POLICIES``.
+    drop: tuple[float, ...] = NO_DROPOUT  #: Drop probability before each weight layer: inputs, hidden 1, hidden 2.
+    #: Drop probabilities of the draws that are acted on; None: those of learning. Ours.
     drop_acting: tuple[float, ...] | None = field(default=None, metadata={"before": None})
-    """Drop probabilities of the draws that are acted on; None: those of learning. Ours."""
+    #: Ticks for which a draw is held in acting; the thesis takes a new one at every tick. Ours.
     hold: int = field(default=1, metadata={"before": 1})
-    """Ticks for which a draw is held in acting; the thesis takes a new one at every tick. Ours."""
+    #: Last tick at which a draw is acted on, later the mean weights; None: no end. Ours, after footnote 4.
     draws_until: int | None = field(default=None, metadata={"before": None})
-    """Last tick at which a draw is acted on, later the mean weights; None: no end. Ours, after footnote 4."""
 
     def __post_init__(self) -> None:
         tidy(self)
@@ -52,40 +50,24 @@ class AgentConfig:
 class Config:
     """One experiment. Sources: rl_demo.html and deepqlearn.js of the demo, unless said otherwise."""
 
-    agents: tuple[AgentConfig, ...]
-    """The agents; more than one share a world and its items."""
-    ticks: int
-    """Length of a run; the demo runs until it is stopped."""
-    hidden: tuple[int, ...] = (50, 50)
-    """Widths of the hidden layers."""
-    burn_in: int = 3000
-    """Transitions in memory before agents stop acting at random; the thesis says 25 batches."""
-    anneal_end: int = 200_000
-    """Tick at which ε would reach 0 if it did not stop at its floor."""
-    epsilon_floor: float = 0.05
-    """Smallest ε."""
-    temperature_start: float = 0.1
-    """Temperature at the end of the burn-in, in units of Q; ours, see ``Boltzmann``."""
-    temperature_end: float = 0.003
-    """Last temperature, in units of Q; ours."""
-    cooling_end: int = 200_000
-    """Tick at which the temperature reaches its end, having fallen geometrically; ours."""
-    memory: int = 30_000
-    """Transitions in the replay memory."""
-    learning_start: int = 1000
-    """Learning begins when the memory holds more transitions than this."""
-    batch: int = 64
-    """Transitions per learning step, drawn with replacement; one step per tick, the thesis's "batch"."""
-    discount: float = 0.7
-    """γ."""
-    learning_rate: float = 0.001
-    """Step size of gradient descent on the mean over the minibatch."""
-    l2_decay: float = 0.01
-    """Weight decay; convnetjs divides it by the batch size."""
+    agents: tuple[AgentConfig, ...]  #: The agents; more than one share a world and its items.
+    ticks: int  #: Length of a run; the demo runs until it is stopped.
+    hidden: tuple[int, ...] = (50, 50)  #: Widths of the hidden layers.
+    burn_in: int = 3000  #: Transitions in memory before agents stop acting at random; the thesis says 25 batches.
+    anneal_end: int = 200_000  #: Tick at which ε would reach 0 if it did not stop at its floor.
+    epsilon_floor: float = 0.05  #: Smallest ε.
+    temperature_start: float = 0.1  #: Temperature at the end of the burn-in, in units of Q; ours, see ``Boltzmann``.
+    temperature_end: float = 0.003  #: Last temperature, in units of Q; ours.
+    cooling_end: int = 200_000  #: Tick at which the temperature reaches its end, having fallen geometrically; ours.
+    memory: int = 30_000  #: Transitions in the replay memory.
+    learning_start: int = 1000  #: Learning begins when the memory holds more transitions than this.
+    batch: int = 64  #: Transitions per learning step, drawn with replacement; one step per tick, the thesis's "batch".
+    discount: float = 0.7  #: γ.
+    learning_rate: float = 0.001  #: Step size of gradient descent on the mean over the minibatch.
+    l2_decay: float = 0.01  #: Weight decay; convnetjs divides it by the batch size.
+    #: Each n-th block of transitions is kept from learning, to measure TD errors on it; 0: none. Ours.
     held_out_every: int = 0
-    """Each n-th block of transitions is kept from learning, to measure TD errors on it; 0: none. Ours."""
-    rules: Rules = field(default_factory=Rules)
-    """Rules of the world."""
+    rules: Rules = field(default_factory=Rules)  #: Rules of the world.
 
     def __post_init__(self) -> None:
         tidy(self)

@@ -18,33 +18,20 @@ __all__ = ["Result", "finite", "listed", "measured", "printed", "thesis_value"]
 
 @dataclass(frozen=True)
 class Result:
-    """One number of the book.
+    """One number of the book."""
 
-    Attributes:
-        id: e.g. "table-5.1/dropout/bald".
-        unit: of ``thesis``, ``ours``, ``low`` and ``high``.
-        statistic: what was computed, in words.
-        thesis: the printed value; None if the thesis has none.
-        ours: None if not reached or not measured; ``low`` and ``high`` limit the 95 % interval.
-        seeds: of all repetitions in the records, each once.
-        config: name of the config.
-        verdict: that of a statement (``judging.rules``); None of all other numbers.
-        records: paths of the record files, below the records folder.
-        n: repetitions that the interval rests on, of a paired difference the pairs.
-    """
-
-    id: str
-    unit: str
-    statistic: str
-    thesis: float | None
-    ours: float | None
+    id: str  #: e.g. "table-5.1/dropout/bald".
+    unit: str  #: of ``thesis``, ``ours``, ``low`` and ``high``.
+    statistic: str  #: what was computed, in words.
+    thesis: float | None  #: the printed value; None if the thesis has none.
+    ours: float | None  #: None if not reached or not measured; ``low`` and ``high`` limit the 95 % interval.
     low: float | None
     high: float | None
-    seeds: list[int]
-    config: str
-    verdict: str | None
-    records: list[str]
-    n: int
+    seeds: list[int]  #: of all repetitions in the records, each once.
+    config: str  #: name of the config.
+    verdict: str | None  #: that of a statement (``judging.rules``); None of all other numbers.
+    records: list[str]  #: paths of the record files, below the records folder.
+    n: int  #: repetitions that the interval rests on, of a paired difference the pairs.
 
     def data(self) -> dict[str, Any]:
         """Return the result as JSON data."""

@@ -38,19 +38,14 @@ PRIMARY, PRIMARY_5_4 = 20, 40
 
 @dataclass(frozen=True)
 class Measured:
-    """What the records say about a statement.
+    """What the records say about a statement."""
 
-    Attributes:
-        difference: what its rule judges: ours minus the thesis's value, or first minus second. Of an audit its
-            ``value`` is 1 (the fact holds) or 0.
-        ours: what is shown beside the thesis's value, with its 95 % interval.
-        records: those behind it.
-        beside: other ways to count, by name, which are shown and not judged.
-    """
-
+    #: what its rule judges: ours minus the thesis's value, or first minus second. Of an audit its ``value`` is 1 (the
+    #: fact holds) or 0.
     difference: Estimate
-    ours: Interval
-    records: Sequence[Record] = ()
+    ours: Interval  #: what is shown beside the thesis's value, with its 95 % interval.
+    records: Sequence[Record] = ()  #: those behind it.
+    #: other ways to count, by name, which are shown and not judged.
     beside: Mapping[str, Interval] = field(default_factory=dict)
 
 
@@ -104,34 +99,21 @@ def from_range(estimate: Estimate, low: float, high: float) -> Estimate:
 
 @dataclass(frozen=True)
 class Statement:
-    """One sentence of the chapter that can be true or not.
+    """One sentence of the chapter that can be true or not."""
 
-    Attributes:
-        id: e.g. "AL1a".
-        text: the sentence in our words.
-        where: its place in the thesis.
-        kind: "value" (the thesis prints a number), "less" or "more" (A is below or above B), "equality", or "audit" (a
-            fact about text, data or programs, no claim of the thesis).
-        margin: the largest difference, in ``unit``, that does not matter; 0 for an audit.
-        measure: see ``Measure``.
-        unit: of margin, difference and values.
-        thesis: the printed value.
-        primary: whether it is one of the few that the chapter stands on, adjusted together.
-        would_test: why it is untested, and what would test it, where nothing has been run.
-        chapter: the notebook that shows it.
-    """
-
-    id: str
-    text: str
-    where: str
+    id: str  #: e.g. "AL1a".
+    text: str  #: the sentence in our words.
+    where: str  #: its place in the thesis.
+    #: "value" (the thesis prints a number), "less" or "more" (A is below or above B), "equality", or "audit" (a fact
+    #: about text, data or programs, no claim of the thesis).
     kind: Kind
-    margin: float
-    measure: Measure = field(repr=False)
-    unit: str = ""
-    thesis: float | None = None
-    primary: bool = False
-    would_test: str = ""
-    chapter: str = field(kw_only=True)
+    margin: float  #: the largest difference, in ``unit``, that does not matter; 0 for an audit.
+    measure: Measure = field(repr=False)  #: see ``Measure``.
+    unit: str = ""  #: of margin, difference and values.
+    thesis: float | None = None  #: the printed value.
+    primary: bool = False  #: whether it is one of the few that the chapter stands on, adjusted together.
+    would_test: str = ""  #: why it is untested, and what would test it, where nothing has been run.
+    chapter: str = field(kw_only=True)  #: the notebook that shows it.
 
     @property
     def least(self) -> int:
@@ -160,21 +142,15 @@ def audit(identifier: str, text: str, where: str, measure: Measure, *, chapter: 
 
 @dataclass(frozen=True)
 class Judged:
-    """A statement with its verdict.
-
-    Attributes:
-        plain: the verdict of the statement by itself.
-        verdict: of a primary statement the one adjusted together with the others of its section, else ``plain``.
-        p: the p-value that ``verdict`` rests on; NaN where there is none.
-        small: whether the difference is there, but too little to matter.
-    """
+    """A statement with its verdict."""
 
     statement: Statement
     measured: Measured | None
-    plain: Verdict
+    plain: Verdict  #: the verdict of the statement by itself.
+    #: of a primary statement the one adjusted together with the others of its section, else ``plain``.
     verdict: Verdict
-    p: float
-    small: bool
+    p: float  #: the p-value that ``verdict`` rests on; NaN where there is none.
+    small: bool  #: whether the difference is there, but too little to matter.
 
     @property
     def why(self) -> str:
@@ -227,13 +203,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class StatementResult(Result):
-    """A statement among the numbers of the book.
-
-    Attributes:
-        verdict: adjusted for the other primary statements of its section, if it is one.
-        kind, primary, margin: see ``Statement``.
-        plain, p, small, why: see ``Judged``.
-    """
+    """A statement among the numbers of the book; its fields are those of ``Statement`` and ``Judged``."""
 
     kind: Kind
     primary: bool

@@ -32,25 +32,16 @@ LEAST_STEPS = 2
 
 @dataclass(frozen=True)
 class Comparison:
-    """What came of recomputing the first ``steps`` of ``total`` steps of a record's unit.
+    """What came of recomputing the first ``steps`` of ``total`` steps of a record's unit."""
 
-    Attributes:
-        label: path of the record below the records folder.
-        seconds: CPU time that the steps took.
-        arrays: names of the arrays that could be compared.
-        unequal: what is not the same bit for bit, one phrase per array.
-        elsewhere: what is not as it was when the record was made; if there is something, ``far`` decides.
-        far: arrays beyond the stated tolerance, one phrase each.
-    """
-
-    label: str
+    label: str  #: path of the record below the records folder.
     steps: int
     total: int
-    seconds: float
-    arrays: Sequence[str]
-    unequal: Sequence[str]
-    elsewhere: Sequence[str]
-    far: Sequence[str]
+    seconds: float  #: CPU time that the steps took.
+    arrays: Sequence[str]  #: names of the arrays that could be compared.
+    unequal: Sequence[str]  #: what is not the same bit for bit, one phrase per array.
+    elsewhere: Sequence[str]  #: what is not as it was when the record was made; if there is something, ``far`` decides.
+    far: Sequence[str]  #: arrays beyond the stated tolerance, one phrase each.
 
     @property
     def problems(self) -> Sequence[str]:

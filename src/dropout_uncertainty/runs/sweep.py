@@ -16,25 +16,16 @@ __all__ = ["Sweep", "units"]
 
 @dataclass(frozen=True)
 class Sweep:
-    """Configs of an experiment whose seeds are cut into units in one way.
+    """Configs of an experiment whose seeds are cut into units in one way."""
 
-    Attributes:
-        experiment: its name.
-        configs: by their names.
-        start: makes the process of a unit.
-        precisions: those that it can run in; the first is the section's own, that of the published records.
-        group: most seeds of a unit, by device type.
-        repetitions: seeds that are run where none are named: 0, 1, ...
-        memory: bytes that a repetition of a config takes at the height of the work, an estimate.
-    """
-
-    experiment: str
-    configs: Mapping[str, Any]
-    start: Callable[..., Process]
+    experiment: str  #: its name.
+    configs: Mapping[str, Any]  #: by their names.
+    start: Callable[..., Process]  #: makes the process of a unit.
+    #: those that it can run in; the first is the section's own, that of the published records.
     precisions: Sequence[str]
-    group: Mapping[str, int]
-    repetitions: int
-    memory: Callable[[Any], float]
+    group: Mapping[str, int]  #: most seeds of a unit, by device type.
+    repetitions: int  #: seeds that are run where none are named: 0, 1, ...
+    memory: Callable[[Any], float]  #: bytes that a repetition of a config takes at the height of the work, an estimate.
 
     def units(
         self, name: str, seeds: Sequence[int] | None = None, device: str = "cpu", precision: str | None = None

@@ -55,23 +55,14 @@ EARLY, END = (100, 400), (960, 980)
 
 @dataclass(frozen=True)
 class Row:
-    """The runs of one row of the tables.
+    """The runs of one row of the tables."""
 
-    Attributes:
-        name: e.g. "dropout/bald".
-        config: name of the config, e.g. "ours/dropout/bald".
-        labels: [T] number of labels at each point of the curve.
-        error: [R, T] test error in %, one curve per repetition.
-        seeds: one per repetition.
-        records: the records they come from (none for the original program's curves).
-    """
-
-    name: str
-    config: str
-    labels: Int[np.ndarray, " T"]
-    error: Float[np.ndarray, "R T"]
-    seeds: tuple[int, ...]
-    records: tuple[Record, ...] = ()
+    name: str  #: e.g. "dropout/bald".
+    config: str  #: name of the config, e.g. "ours/dropout/bald".
+    labels: Int[np.ndarray, " T"]  #: [T] number of labels at each point of the curve.
+    error: Float[np.ndarray, "R T"]  #: [R, T] test error in %, one curve per repetition.
+    seeds: tuple[int, ...]  #: one per repetition.
+    records: tuple[Record, ...] = ()  #: the records they come from (none for the original program's curves).
 
     @property
     def label(self) -> str:

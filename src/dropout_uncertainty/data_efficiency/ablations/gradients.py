@@ -86,14 +86,11 @@ def _share(path: Float[Tensor, "R K P"], ratio: Float[Tensor, "R K P"]) -> Float
 class GradientConfig(PilcoConfig):
     """PILCO, looked at where the search after each trial begins."""
 
+    #: Line searches per trial: few, since the policies are looked at and need not solve the task.
     policy_iterations: int = 30
-    """Line searches per trial: few, since the policies are looked at and need not solve the task."""
-    particles: int = 50
-    """Particles of an estimate."""
-    draws: int = 16
-    """Estimates, over which the variance is taken."""
-    horizons: tuple[int, ...] = (5, 10, 15, 20, 25)
-    """Lengths of the predicted trial [steps]."""
+    particles: int = 50  #: Particles of an estimate.
+    draws: int = 16  #: Estimates, over which the variance is taken.
+    horizons: tuple[int, ...] = (5, 10, 15, 20, 25)  #: Lengths of the predicted trial [steps].
 
     def __post_init__(self) -> None:
         super().__post_init__()

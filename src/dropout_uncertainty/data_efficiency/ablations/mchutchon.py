@@ -42,9 +42,9 @@ LEAST_VARIANCE = 1e-10
 class ParticlePilcoConfig(PilcoConfig):
     """PILCO whose policy is improved on particles."""
 
+    #: Particles and optimiser: those of `OURS` where nothing else is said. A process has no weights to hold, so each
+    #: step of each particle has a draw of its own, as PILCO supposes.
     planning: Planning = field(default_factory=lambda: Planning(hold_masks=False))
-    """Particles and optimiser: those of `OURS` where nothing else is said. A process has no weights to hold, so each
-    step of each particle has a draw of its own, as PILCO supposes."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

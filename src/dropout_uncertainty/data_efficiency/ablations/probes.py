@@ -64,18 +64,13 @@ LEAST_GROUP = 0.1
 class MechanismConfig(DeepPilcoConfig):
     """The learner, when it is looked into and how closely."""
 
+    #: Trials after which the measurements are made, with the network that was fitted before them.
     measured: tuple[int, ...] = (1, 2, 5, 10, 20)
-    """Trials after which the measurements are made, with the network that was fitted before them."""
-    cloud: int = 200
-    """Particles of a predicted cloud."""
-    gradient_draws: int = 16
-    """Draws of particles and masks over which the policy gradient's variance is taken."""
-    horizons: tuple[int, ...] = (5, 10, 15, 20, 25)
-    """Lengths of the predicted trial at which it is taken, in steps."""
-    counts: tuple[int, ...] = (5, 10, 30, 100)
-    """Numbers of particles K for which the objective is averaged."""
-    objective_draws: int = 32
-    """Draws that are averaged."""
+    cloud: int = 200  #: Particles of a predicted cloud.
+    gradient_draws: int = 16  #: Draws of particles and masks over which the policy gradient's variance is taken.
+    horizons: tuple[int, ...] = (5, 10, 15, 20, 25)  #: Lengths of the predicted trial at which it is taken, in steps.
+    counts: tuple[int, ...] = (5, 10, 30, 100)  #: Numbers of particles K for which the objective is averaged.
+    objective_draws: int = 32  #: Draws that are averaged.
 
     def __post_init__(self) -> None:
         super().__post_init__()

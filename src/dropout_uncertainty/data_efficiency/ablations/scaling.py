@@ -45,18 +45,17 @@ REPEATS = 2  # the quicker one counts
 class ScalingConfig:
     """Which sizes are timed; where one varies, the others are those of `base`."""
 
+    #: Gives the numbers of evaluations and the length of the trial.
     pilco: PilcoConfig = field(default_factory=lambda: PILCO_PAPER)
-    """Gives the numbers of evaluations and the length of the trial."""
+    #: The same for Deep PILCO, and network, particles and minibatches.
     deep: DeepPilcoConfig = field(default_factory=lambda: OURS)
-    """The same for Deep PILCO, and network, particles and minibatches."""
+    #: Transitions, inputs and outputs; inputs and outputs are the cart-pole's.
     base: tuple[int, int, int] = (400, 6, 4)
-    """Transitions, inputs and outputs; inputs and outputs are the cart-pole's."""
+    #: Transitions, inputs, outputs.
     pilco_sizes: tuple[tuple[int, ...], ...] = ((50, 100, 200, 400, 800, 1600), (6, 12, 24, 48, 96), (2, 4, 8, 16))
-    """Transitions, inputs, outputs."""
+    #: Farther than PILCO's: where they begin to count is to be seen.
     deep_sizes: tuple[tuple[int, ...], ...] = ((50, 200, 800, 3200), (6, 24, 96, 384, 1536), (4, 16, 64, 256))
-    """Farther than PILCO's: where they begin to count is to be seen."""
-    timed: int = 5
-    """Evaluations of a fit that are timed, and steps of PILCO's predicted trial."""
+    timed: int = 5  #: Evaluations of a fit that are timed, and steps of PILCO's predicted trial.
 
     def sizes(self, method: str) -> tuple[tuple[int, ...], ...]:
         """Return the sizes of a method, one tuple per axis."""

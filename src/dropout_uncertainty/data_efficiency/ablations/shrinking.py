@@ -38,10 +38,8 @@ TRIALS = 2
 class ShrinkingConfig(DeepPilcoConfig):
     """A learner, and how its clouds are looked at."""
 
-    draws: int = 32
-    """Clouds of as many particles as are planned with."""
-    many: int = 500
-    """Particles of the cloud that loses next to nothing."""
+    draws: int = 32  #: Clouds of as many particles as are planned with.
+    many: int = 500  #: Particles of the cloud that loses next to nothing.
 
     def __post_init__(self) -> None:
         super().__post_init__()

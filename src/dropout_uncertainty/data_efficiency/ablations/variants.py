@@ -28,8 +28,7 @@ TRIALS = 20
 class VariantConfig(DeepPilcoConfig):
     """The learner of `deep_pilco.learner`; `doubt` is part of the published identity of these configs."""
 
-    doubt: bool = True
-    """The policy is improved on draws of the weights (`DeepPilcoConfig.doubt`)."""
+    doubt: bool = True  #: The policy is improved on draws of the weights (`DeepPilcoConfig.doubt`).
 
 
 #: `OURS` for fewer trials: what a variant differs from in its named fields alone.

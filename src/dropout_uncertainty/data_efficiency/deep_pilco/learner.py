@@ -47,55 +47,42 @@ class DeepPilcoConfig(Planning):
     re-implementations written from it agree on or attribute to it (zuoxingdong/DeepPILCO, BrunoKM/deep-pilco-torch).
     """
 
+    #: The cart-pole, its start distribution and trial length: the paper's.
     plant: CartPole = field(default_factory=lambda: PAPER)
-    """The cart-pole, its start distribution and trial length: the paper's."""
+    #: How the real plant moves: accurately ("runge-kutta"), or in one "euler" step per control interval, as the plants
+    #: of two public re-implementations do.
     integration: str = "runge-kutta"
-    """How the real plant moves: accurately ("runge-kutta"), or in one "euler" step per control interval, as the plants
-    of two public re-implementations do."""
-    trials: int = 40
-    """Controlled trials after the random one (thesis section 5.4.3: run times of 40 trials)."""
-    hidden: tuple[int, ...] = (200, 200)
-    """Widths of the network's hidden layers (paper)."""
-    activation: str = "relu"
-    """Of the hidden layers: "relu", or "sigmoid" (paper)."""
-    drop: float = 0.05
-    """Drop probability of the hidden units (paper: 0.05 to 0.1)."""
-    input_drop: float = 0.0
-    """Drop probability of the network's inputs; the re-implementations differ."""
-    angle_features: bool = True
-    """The network is given sin θ and cos θ instead of θ; not in thesis or paper."""
+    trials: int = 40  #: Controlled trials after the random one (thesis section 5.4.3: run times of 40 trials).
+    hidden: tuple[int, ...] = (200, 200)  #: Widths of the network's hidden layers (paper).
+    activation: str = "relu"  #: Of the hidden layers: "relu", or "sigmoid" (paper).
+    drop: float = 0.05  #: Drop probability of the hidden units (paper: 0.05 to 0.1).
+    input_drop: float = 0.0  #: Drop probability of the network's inputs; the re-implementations differ.
+    angle_features: bool = True  #: The network is given sin θ and cos θ instead of θ; not in thesis or paper.
+    #: Inputs and targets of the network are scaled to mean 0 and standard deviation 1; not in thesis or paper.
     standardise: bool = True
-    """Inputs and targets of the network are scaled to mean 0 and standard deviation 1; not in thesis or paper."""
+    #: Length-scale l of the prior over the weights: with N and the drop probability it gives the weight decay (thesis
+    #: equation 3.14). Thesis and paper give no value.
     length_scale: float = 0.1**0.5
-    """Length-scale l of the prior over the weights: with N and the drop probability it gives the weight decay (thesis
-    equation 3.14). Thesis and paper give no value."""
-    model_steps: int = 600
-    """Adam steps per trial for the network; the paper has 5000."""
-    model_rate: float = 2e-3
-    """Their size at first; thesis and paper give none."""
-    model_final_rate: float = 0.1
-    """Their size at the end as a share of the first; it falls along a cosine."""
-    batch: int = 100
-    """Transitions per step (paper), or all while there are fewer."""
-    memory: int = 0
-    """The network learns from that many last trials (paper: 10); 0, as in the thesis: from all."""
-    basis: int = 50
-    """Basis functions of the policy (paper)."""
+    model_steps: int = 600  #: Adam steps per trial for the network; the paper has 5000.
+    model_rate: float = 2e-3  #: Their size at first; thesis and paper give none.
+    model_final_rate: float = 0.1  #: Their size at the end as a share of the first; it falls along a cosine.
+    batch: int = 100  #: Transitions per step (paper), or all while there are fewer.
+    memory: int = 0  #: The network learns from that many last trials (paper: 10); 0, as in the thesis: from all.
+    basis: int = 50  #: Basis functions of the policy (paper).
+    #: Standard deviations of the first centres in x, v, w, sin θ, cos θ, and first length-scales; our choice.
     spread: tuple[float, ...] = (1.0, 2.0, 4.0, 0.7, 0.7)
-    """Standard deviations of the first centres in x, v, w, sin θ, cos θ, and first length-scales; our choice."""
+    #: Standard deviation of the first weights of the basis functions; our choice. The pole must be thrown about early,
+    #: or the data teach nothing.
     weight_std: float = 0.5
-    """Standard deviation of the first weights of the basis functions; our choice. The pole must be thrown about early,
-    or the data teach nothing."""
+    #: A policy whose predicted cost per step stays above this is drawn anew; 1, as in thesis and paper: never.
     guard: float = 0.98
-    """A policy whose predicted cost per step stays above this is drawn anew; 1, as in thesis and paper: never."""
-    redraws: int = 2
-    """How often at most, per trial."""
+    redraws: int = 2  #: How often at most, per trial.
+    #: The policy is improved on draws of the weights. Otherwise on the mean network (weight scaling): a model that was
+    #: trained with dropout and is sure of itself. With an ensemble, on its members or on the mean of their outputs.
     doubt: bool = field(default=True, metadata={"before": True})
-    """The policy is improved on draws of the weights. Otherwise on the mean network (weight scaling): a model that
-    was trained with dropout and is sure of itself. With an ensemble, on its members or on the mean of their outputs."""
+    #: Networks without dropout, each with its own first weights and minibatches, that share the particles; 1, as in
+    #: thesis and paper: one network.
     ensemble: int = field(default=1, metadata={"before": 1})
-    """Networks without dropout, each with its own first weights and minibatches, that share the particles; 1, as in
-    thesis and paper: one network."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

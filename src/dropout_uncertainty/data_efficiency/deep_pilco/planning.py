@@ -40,32 +40,27 @@ DIM = len(FEATURE_NAMES)
 class Planning:
     """How the particles are made, moved and judged, and how the policy is improved on them."""
 
-    particles: int = 30
-    """Particles K; the paper has 10."""
+    particles: int = 30  #: Particles K; the paper has 10.
+    #: Moments matched at each step: those of all dimensions together ("full"), of each by itself ("diagonal", as
+    #: algorithm 4 writes them), or none ("off").
     matching: str = "full"
-    """Moments matched at each step: those of all dimensions together ("full"), of each by itself ("diagonal", as
-    algorithm 4 writes them), or none ("off")."""
+    #: Each particle keeps its weight draw over the whole trajectory (thesis section 5.4.2); otherwise a fresh one at
+    #: each step.
     hold_masks: bool = True
-    """Each particle keeps its weight draw over the whole trajectory (thesis section 5.4.2); otherwise a fresh one at
-    each step."""
+    #: The noise of new particles has mean 0 and standard deviation 1 over the particles of each step; otherwise, as
+    #: algorithm 4 has it, only on average.
     standard_noise: bool = True
-    """The noise of new particles has mean 0 and standard deviation 1 over the particles of each step; otherwise, as
-    algorithm 4 has it, only on average."""
+    #: The predicted cost is the mean cost of the particles ("particles"), or the cost of their mean ("mean"), which is
+    #: flat and makes a public re-implementation fail.
     cost_of: str = "particles"
-    """The predicted cost is the mean cost of the particles ("particles"), or the cost of their mean ("mean"), which is
-    flat and makes a public re-implementation fail."""
+    #: Of the policy: "adam" (thesis section 5.4.2), or "bfgs" on particles and masks that stay as they are.
     optimiser: str = "adam"
-    """Of the policy: "adam" (thesis section 5.4.2), or "bfgs" on particles and masks that stay as they are."""
-    policy_steps: int = 300
-    """Optimisation steps per trial (line searches of BFGS); the paper has 1000."""
-    policy_rate: float = 1e-2
-    """Step size of Adam; thesis and paper give none."""
-    policy_final_rate: float = 1.0
-    """The last step size as a share of the first; between them it falls along a cosine."""
-    clip: float = 1.0
-    """Largest norm of a replica's gradient; 0, as in thesis and paper: not limited."""
+    policy_steps: int = 300  #: Optimisation steps per trial (line searches of BFGS); the paper has 1000.
+    policy_rate: float = 1e-2  #: Step size of Adam; thesis and paper give none.
+    policy_final_rate: float = 1.0  #: The last step size as a share of the first; between them it falls along a cosine.
+    clip: float = 1.0  #: Largest norm of a replica's gradient; 0, as in thesis and paper: not limited.
+    #: Optimisation steps for which particles and masks are kept (thesis: 1); 0: fixed for all steps of a trial.
     redraw_every: int = 1
-    """Optimisation steps for which particles and masks are kept (thesis: 1); 0: fixed for all steps of a trial."""
 
     def __post_init__(self) -> None:
         tidy(self)

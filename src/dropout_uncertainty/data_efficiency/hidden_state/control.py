@@ -46,10 +46,9 @@ class ControlConfig:
     """A model of what is seen, and how a policy is improved on it: if not said otherwise, as in `DeepPilcoConfig`."""
 
     model: ModelConfig
+    #: The cart-pole; of its states x and θ are seen, with the noise of its observations.
     plant: CartPole = field(default_factory=lambda: PAPER)
-    """The cart-pole; of its states x and θ are seen, with the noise of its observations."""
-    trials: int = 25
-    """Controlled trials after the random one."""
+    trials: int = 25  #: Controlled trials after the random one.
     particles: int = 30
     policy_steps: int = 300
     policy_rate: float = 1e-2
@@ -59,8 +58,7 @@ class ControlConfig:
     weight_std: float = 0.5
     guard: float = 0.98
     redraws: int = 2
-    noise: bool = True
-    """The particles get noise of the learned size at each step; Deep PILCO leaves it out."""
+    noise: bool = True  #: The particles get noise of the learned size at each step; Deep PILCO leaves it out.
 
     def __post_init__(self) -> None:
         tidy(self)

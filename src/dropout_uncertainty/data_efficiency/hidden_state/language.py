@@ -72,26 +72,16 @@ def encoded() -> tuple[Int[Tensor, " N"], str]:
 class LanguageConfig:
     """A language model and its training."""
 
-    masks: str
-    """"none", "fresh" at every step, or "held" over a sequence."""
-    drop: float = 0.3
-    """Drop probability of the recurrent state and before the output."""
-    input_drop: float = 0.1
-    """Drop probability of the characters that are read."""
-    width: int = 64
-    """Units of the layer."""
-    train: int = 10_000
-    """Characters that are trained on: few, so that there is something to over-fit."""
-    test: int = 5_000
-    """Characters that follow and are not trained on."""
-    batch: int = 20
-    """Parts that the text is cut into and that are read side by side."""
-    length: int = 25
-    """Characters of a sequence, over which gradients go back and masks are held."""
-    passes: int = 50
-    """Times that the text is read."""
-    rate: float = 0.005
-    """Adam's step."""
+    masks: str  #: "none", "fresh" at every step, or "held" over a sequence.
+    drop: float = 0.3  #: Drop probability of the recurrent state and before the output.
+    input_drop: float = 0.1  #: Drop probability of the characters that are read.
+    width: int = 64  #: Units of the layer.
+    train: int = 10_000  #: Characters that are trained on: few, so that there is something to over-fit.
+    test: int = 5_000  #: Characters that follow and are not trained on.
+    batch: int = 20  #: Parts that the text is cut into and that are read side by side.
+    length: int = 25  #: Characters of a sequence, over which gradients go back and masks are held.
+    passes: int = 50  #: Times that the text is read.
+    rate: float = 0.005  #: Adam's step.
 
     def __post_init__(self) -> None:
         tidy(self)

@@ -225,28 +225,18 @@ class Recurrent(Networks):
 class ModelConfig:
     """A model and how it is trained."""
 
-    kind: str
-    """"feed-forward" or "recurrent"."""
-    window: int = 1
-    """Observations that a feed-forward network is given."""
-    hidden: tuple[int, ...] = (200, 200)
-    """Widths of the layers; of the recurrent network one."""
+    kind: str  #: "feed-forward" or "recurrent".
+    window: int = 1  #: Observations that a feed-forward network is given.
+    hidden: tuple[int, ...] = (200, 200)  #: Widths of the layers; of the recurrent network one.
+    #: Drop probability of the hidden units, in a recurrent network of the state and before the output.
     drop: float = 0.05
-    """Drop probability of the hidden units, in a recurrent network of the state and before the output."""
-    input_drop: float = 0.0
-    """Drop probability of the inputs."""
-    held: bool = True
-    """Whether a particle keeps its masks over the sequence; feed-forward ones always do."""
-    steps: int = 600
-    """Adam steps of a fit."""
-    rate: float = 0.002
-    """Their size at first."""
-    final_rate: float = 0.1
-    """Their size at the end, as a share of that at first."""
-    batch: int = 100
-    """Transitions of a step, rounded to whole trials for a recurrent network."""
-    length_scale: float = 0.1**0.5
-    """Of the prior over the weights."""
+    input_drop: float = 0.0  #: Drop probability of the inputs.
+    held: bool = True  #: Whether a particle keeps its masks over the sequence; feed-forward ones always do.
+    steps: int = 600  #: Adam steps of a fit.
+    rate: float = 0.002  #: Their size at first.
+    final_rate: float = 0.1  #: Their size at the end, as a share of that at first.
+    batch: int = 100  #: Transitions of a step, rounded to whole trials for a recurrent network.
+    length_scale: float = 0.1**0.5  #: Of the prior over the weights.
 
     def __post_init__(self) -> None:
         tidy(self)

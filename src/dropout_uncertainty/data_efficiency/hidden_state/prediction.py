@@ -35,16 +35,11 @@ STORED = 40
 class PredictionConfig(ModelConfig):
     """A model and what it has to predict."""
 
-    source: str = "deep-pilco-ours"
-    """Config whose stored trials are data."""
-    sizes: tuple[int, ...] = (5, 10, 20)
-    """Trials of data."""
-    ahead: int = 5
-    """Trials that are predicted: those that came next."""
-    particles: int = 50
-    """Of a predicted trial."""
-    noise: float = 0.01
-    """Standard deviation of the noise on x [m] and θ [rad]."""
+    source: str = "deep-pilco-ours"  #: Config whose stored trials are data.
+    sizes: tuple[int, ...] = (5, 10, 20)  #: Trials of data.
+    ahead: int = 5  #: Trials that are predicted: those that came next.
+    particles: int = 50  #: Of a predicted trial.
+    noise: float = 0.01  #: Standard deviation of the noise on x [m] and θ [rad].
 
     def __post_init__(self) -> None:
         super().__post_init__()

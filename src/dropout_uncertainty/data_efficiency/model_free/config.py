@@ -17,46 +17,33 @@ class ModelFreeConfig:
     so plant, length and end of a run are ours.
     """
 
-    method: str = "ddpg"
-    """Learner: "ddpg" or "naf"."""
+    method: str = "ddpg"  #: Learner: "ddpg" or "naf".
+    #: The cart-pole of Deep PILCO: the same start states, steps, force limit and cost.
     plant: CartPole = field(default_factory=lambda: PAPER)
-    """The cart-pole of Deep PILCO: the same start states, steps, force limit and cost."""
-    trials: int = 2_500
-    """Trials at most."""
-    test_every: int = 10
-    """Every so many trials one is without noise; it counts for "solved" and for the curves."""
-    solved_tests: int = 3
-    """A repetition ends after so many solved tests in a row."""
-    hidden: tuple[int, ...] = (400, 300)
-    """Widths of the hidden layers (DDPG: 400 and 300, NAF: 200 and 200)."""
+    trials: int = 2_500  #: Trials at most.
+    test_every: int = 10  #: Every so many trials one is without noise; it counts for "solved" and for the curves.
+    solved_tests: int = 3  #: A repetition ends after so many solved tests in a row.
+    hidden: tuple[int, ...] = (400, 300)  #: Widths of the hidden layers (DDPG: 400 and 300, NAF: 200 and 200).
+    #: Batch normalisation of inputs and hidden layers, of Q only before the action comes in (DDPG).
     normalise: bool = True
-    """Batch normalisation of inputs and hidden layers, of Q only before the action comes in (DDPG)."""
+    #: What x, v, w, sin θ and cos θ are divided by: the spreads of Deep PILCO's first policies; ours.
     scale: tuple[float, ...] = (1.0, 2.0, 4.0, 0.7, 0.7)
-    """What x, v, w, sin θ and cos θ are divided by: the spreads of Deep PILCO's first policies; ours."""
-    time_input: bool = False
-    """Whether the share of the trial that is over is a further input; not in the papers."""
+    time_input: bool = False  #: Whether the share of the trial that is over is a further input; not in the papers.
+    #: Whether nothing is expected behind a trial's last step, which ends by time alone; the papers have no such end.
     end_is_terminal: bool = False
-    """Whether nothing is expected behind a trial's last step, which ends by time alone; the papers have no such end."""
-    policy_rate: float = 1e-4
-    """Adam's step size for the policy (DDPG)."""
+    policy_rate: float = 1e-4  #: Adam's step size for the policy (DDPG).
+    #: Adam's step size for Q (DDPG), or for the one network (NAF: searched in 1e-4, 1e-3, 1e-2).
     value_rate: float = 1e-3
-    """Adam's step size for Q (DDPG), or for the one network (NAF: searched in 1e-4, 1e-3, 1e-2)."""
+    #: L2 decay of all parameters of Q, in the gradient that Adam is given (DDPG, as we read it).
     value_decay: float = 1e-2
-    """L2 decay of all parameters of Q, in the gradient that Adam is given (DDPG, as we read it)."""
-    discount: float = 0.99
-    """γ (DDPG, NAF)."""
-    follow: float = 1e-3
-    """τ, with which target networks follow (DDPG, NAF)."""
-    batch: int = 64
-    """Transitions of a learning step (DDPG)."""
-    memory: int = 1_000_000
-    """Transitions that are remembered (DDPG)."""
-    updates: int = 1
-    """Learning steps per step of the plant (DDPG: 1, NAF: 5)."""
-    noise_return: float = 0.15
-    """θ of the Ornstein–Uhlenbeck noise, by which it returns to 0 in a step (DDPG)."""
+    discount: float = 0.99  #: γ (DDPG, NAF).
+    follow: float = 1e-3  #: τ, with which target networks follow (DDPG, NAF).
+    batch: int = 64  #: Transitions of a learning step (DDPG).
+    memory: int = 1_000_000  #: Transitions that are remembered (DDPG).
+    updates: int = 1  #: Learning steps per step of the plant (DDPG: 1, NAF: 5).
+    noise_return: float = 0.15  #: θ of the Ornstein–Uhlenbeck noise, by which it returns to 0 in a step (DDPG).
+    #: σ, what comes in in a step, as a share of the force limit (DDPG; NAF: searched in 0.1, 0.3, 1).
     noise_std: float = 0.2
-    """σ, what comes in in a step, as a share of the force limit (DDPG; NAF: searched in 0.1, 0.3, 1)."""
 
     def __post_init__(self) -> None:
         tidy(self)

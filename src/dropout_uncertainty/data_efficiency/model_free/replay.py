@@ -13,16 +13,11 @@ __all__ = ["Memory", "Transitions"]
 class Transitions(NamedTuple):
     """B steps of each of R replicas."""
 
-    inputs: Float[Tensor, "R B inputs"]
-    """What the networks were given before the step."""
-    following: Float[Tensor, "R B inputs"]
-    """What they are given after it."""
-    action: Float[Tensor, "R B 1"]
-    """In [-1, 1], as a share of the force limit."""
-    reward: Float[Tensor, "R B 1"]
-    """One minus the cost of the state that was reached, in [0, 1]."""
-    discount: Float[Tensor, "R B 1"]
-    """Of what comes after the step; 0 where nothing does."""
+    inputs: Float[Tensor, "R B inputs"]  #: What the networks were given before the step.
+    following: Float[Tensor, "R B inputs"]  #: What they are given after it.
+    action: Float[Tensor, "R B 1"]  #: In [-1, 1], as a share of the force limit.
+    reward: Float[Tensor, "R B 1"]  #: One minus the cost of the state that was reached, in [0, 1].
+    discount: Float[Tensor, "R B 1"]  #: Of what comes after the step; 0 where nothing does.
 
 
 class Memory:

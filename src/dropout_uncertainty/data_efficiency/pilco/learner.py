@@ -27,27 +27,20 @@ __all__ = ["CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "P
 class PilcoConfig:
     """The learner, after pilco-matlab, scenarios/cartPole/settings_cp.m, unless said otherwise."""
 
-    plant: CartPole = field(default_factory=lambda: MATLAB)
-    """The cart-pole, its start distribution and trial length."""
-    trials: int = 10
-    """Controlled trials after the random one; 15 in the original."""
-    basis: int = 10
-    """Basis functions of the policy."""
-    policy_iterations: int = 150
-    """Line searches per trial for the policy."""
-    model_iterations: int = 300
-    """Line searches per trial for the hyper-parameters of each output's Gaussian process."""
-    inducing: int = 300
-    """Inducing inputs, used once there are more transitions than this; 0: never."""
+    plant: CartPole = field(default_factory=lambda: MATLAB)  #: The cart-pole, its start distribution and trial length.
+    trials: int = 10  #: Controlled trials after the random one; 15 in the original.
+    basis: int = 10  #: Basis functions of the policy.
+    policy_iterations: int = 150  #: Line searches per trial for the policy.
+    model_iterations: int = 300  #: Line searches per trial for the hyper-parameters of each output's Gaussian process.
+    inducing: int = 300  #: Inducing inputs, used once there are more transitions than this; 0: never.
+    #: Line searches per trial for the inducing inputs, thrice as many at first; the original has 500 evaluations.
     inducing_iterations: int = 100
-    """Line searches per trial for the inducing inputs, thrice as many at first; the original has 500 evaluations."""
-    target_std: float = 0.1
-    """Standard deviation of the first targets of the policy's basis functions."""
+    target_std: float = 0.1  #: Standard deviation of the first targets of the policy's basis functions.
+    #: Logs of the policy's first length-scales: 1, 1, 1, 0.7, 0.7.
     log_length_scales: tuple[float, ...] = (0.0, 0.0, 0.0, -0.35667494393873245, -0.35667494393873245)
-    """Logs of the policy's first length-scales: 1, 1, 1, 0.7, 0.7."""
+    #: The policy is improved on the model with its variance. Otherwise on its mean, taken for the truth; only the start
+    #: state is uncertain then.
     doubt: bool = field(default=True, metadata={"before": True})
-    """The policy is improved on the model with its variance. Otherwise on its mean, taken for the truth; only the
-    start state is uncertain then."""
 
     def __post_init__(self) -> None:
         tidy(self)

@@ -68,23 +68,14 @@ LATER = (1, 2, 3, 4, 5)
 
 @dataclass(frozen=True)
 class Learning:
-    """R repetitions of a learner on a plant; trial 0 is the random one.
+    """R repetitions of a learner on a plant; trial 0 is the random one."""
 
-    Attributes:
-        config: name of its config, e.g. "pilco-paper".
-        plant: the cart-pole.
-        costs: [R, trials + 1, T] realised cost of each step.
-        seeds: one per repetition.
-        arrays: all arrays of the records, R first.
-        records: where they come from; none for a live run.
-    """
-
-    config: str
-    plant: CartPole
-    costs: Float[np.ndarray, "R trials T"]
-    seeds: tuple[int, ...]
-    arrays: Mapping[str, np.ndarray]
-    records: tuple[Record, ...] = ()
+    config: str  #: name of its config, e.g. "pilco-paper".
+    plant: CartPole  #: the cart-pole.
+    costs: Float[np.ndarray, "R trials T"]  #: [R, trials + 1, T] realised cost of each step.
+    seeds: tuple[int, ...]  #: one per repetition.
+    arrays: Mapping[str, np.ndarray]  #: all arrays of the records, R first.
+    records: tuple[Record, ...] = ()  #: where they come from; none for a live run.
 
     @property
     def label(self) -> str:

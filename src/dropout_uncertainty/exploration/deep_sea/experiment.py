@@ -50,42 +50,25 @@ MOST_EPISODES = 32_760
 class Config:
     """One agent in seas of one size; network and learning step are those of the 2D world unless said otherwise."""
 
-    policy: str
-    """Behaviour policy, a key of ``POLICIES``."""
-    size: int
-    """N: rows and columns of the sea, moves of an episode."""
-    drop: tuple[float, ...] = NO_DROPOUT
-    """Drop probability before each weight layer; a one-hot input takes none."""
-    held: Held = "move"
-    """How long a draw is held where the policy acts on one."""
-    members: int = 1
-    """Networks, one of which is followed through an episode; ten as in Osband et al. (2016)."""
-    share: float = 1.0
-    """Probability with which a member learns from a transition: the bootstrap (Osband et al. 2016)."""
-    prior_scale: float = 0.0
-    """Weight β of randomised prior functions (Osband et al. 2018)."""
-    episodes: int = 10_000
-    """Length of a run that does not solve the sea (bsuite)."""
+    policy: str  #: Behaviour policy, a key of ``POLICIES``.
+    size: int  #: N: rows and columns of the sea, moves of an episode.
+    drop: tuple[float, ...] = NO_DROPOUT  #: Drop probability before each weight layer; a one-hot input takes none.
+    held: Held = "move"  #: How long a draw is held where the policy acts on one.
+    members: int = 1  #: Networks, one of which is followed through an episode; ten as in Osband et al. (2016).
+    share: float = 1.0  #: Probability with which a member learns from a transition: the bootstrap (Osband et al. 2016).
+    prior_scale: float = 0.0  #: Weight β of randomised prior functions (Osband et al. 2018).
+    episodes: int = 10_000  #: Length of a run that does not solve the sea (bsuite).
+    #: Episodes until ε would be 0, or the temperature is at its end; chosen, see ``AGENTS``.
     anneal_episodes: int = 1000
-    """Episodes until ε would be 0, or the temperature is at its end; chosen, see ``AGENTS``."""
-    epsilon_floor: float = 0.05
-    """Smallest ε."""
-    temperature_start: float = 0.1
-    """First temperature, in units of Q."""
-    temperature_end: float = 0.003
-    """Last temperature."""
-    hidden: tuple[int, ...] = (50, 50)
-    """Widths of the hidden layers."""
-    memory: int = 30_000
-    """Transitions in a replay memory."""
-    batch: int = 64
-    """Transitions per learning step; one step per move, once the memory holds as many."""
-    discount: float = 0.99
-    """γ; with the 0.7 of the 2D world the treasure would be worth nothing at the start."""
-    learning_rate: float = 0.05
-    """Step size; chosen, see ``AGENTS``."""
-    l2_decay: float = 0.01
-    """Weight decay, divided by the batch size."""
+    epsilon_floor: float = 0.05  #: Smallest ε.
+    temperature_start: float = 0.1  #: First temperature, in units of Q.
+    temperature_end: float = 0.003  #: Last temperature.
+    hidden: tuple[int, ...] = (50, 50)  #: Widths of the hidden layers.
+    memory: int = 30_000  #: Transitions in a replay memory.
+    batch: int = 64  #: Transitions per learning step; one step per move, once the memory holds as many.
+    discount: float = 0.99  #: γ; with the 0.7 of the 2D world the treasure would be worth nothing at the start.
+    learning_rate: float = 0.05  #: Step size; chosen, see ``AGENTS``.
+    l2_decay: float = 0.01  #: Weight decay, divided by the batch size.
 
     def __post_init__(self) -> None:
         check(self)

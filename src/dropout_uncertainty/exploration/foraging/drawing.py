@@ -40,17 +40,14 @@ class Scene:
 
     x: Float[np.ndarray, " A"]
     y: Float[np.ndarray, " A"]
-    angle: Float[np.ndarray, " A"]
-    """An agent at angle θ faces (sin θ, cos θ)."""
+    angle: Float[np.ndarray, " A"]  #: An agent at angle θ faces (sin θ, cos θ).
     eye_angle: Float[np.ndarray, "A 9"]
+    #: Distance at which each eye senses something, 85 for nothing; may exceed the true one, see ``Rules``.
     sensed: Float[np.ndarray, "A 9"]
-    """Distance at which each eye senses something, 85 for nothing; may exceed the true one, see ``Rules``."""
-    sensed_kind: Int[np.ndarray, "A 9"]
-    """NOTHING, WALL, FOOD or POISON."""
+    sensed_kind: Int[np.ndarray, "A 9"]  #: NOTHING, WALL, FOOD or POISON.
     item_x: Float[np.ndarray, " M"]
     item_y: Float[np.ndarray, " M"]
-    item_kind: Int[np.ndarray, " M"]
-    """FOOD, POISON, or NOTHING where a slot is empty."""
+    item_kind: Int[np.ndarray, " M"]  #: FOOD, POISON, or NOTHING where a slot is empty.
 
     @classmethod
     def of(cls, world: World, replica: int = 0) -> "Scene":

@@ -54,12 +54,12 @@ FAR = 1e6  # where the empty item slots wait, out of everyone's sight
 class Rules:
     """Where the demo does something one would not guess; the defaults are the demo."""
 
+    #: Angle of the first eye to the heading [rad]; the demo's fan is not symmetric, a symmetric one starts at -1.
     first_eye: float = -0.75
-    """Angle of the first eye to the heading [rad]; the demo's fan is not symmetric, a symmetric one starts at -1."""
+    #: An item on one side of an eye's ray is sensed at a point moved away from the ray by twice its distance to it.
     displaced_hits: bool = True
-    """An item on one side of an eye's ray is sensed at a point moved away from the ray by twice its distance to it."""
+    #: Whether the reward for keeping walls at a distance saturates at half the range, as in Karpathy's original.
     doubled_proximity: bool = False
-    """Whether the reward for keeping walls at a distance saturates at half the range, as in Karpathy's original."""
 
     def __post_init__(self) -> None:
         """Raise ValueError where a rule is of another type."""
@@ -79,12 +79,9 @@ class Outcome(NamedTuple):
     food: NDArray
     poison: NDArray
     blocked: NDArray
-    eater: NDArray
-    """[R, 30] index of the agent that ate the item in each slot, -1 for none."""
-    withered: NDArray
-    """[R, 30] whether the item of the slot was taken away for its age."""
-    spawned: NDArray
-    """[R] slot of the new item, -1 for none."""
+    eater: NDArray  #: [R, 30] index of the agent that ate the item in each slot, -1 for none.
+    withered: NDArray  #: [R, 30] whether the item of the slot was taken away for its age.
+    spawned: NDArray  #: [R] slot of the new item, -1 for none.
 
 
 def start_numbers(seeds: Sequence[int]) -> Float[np.ndarray, "R 30 3"]:

@@ -51,23 +51,16 @@ EARLY, LATE = (BURN_IN, 50_000), BLOCKS[-1]
 
 @dataclass(frozen=True)
 class Curves:
-    """What one agent did in R runs.
+    """What one agent did in R runs."""
 
-    Attributes:
-        agent: its policy, e.g. "thompson".
-        config: name of the config, or "original".
-        average: [R, T] mean reward of the last 1000 ticks, at every 500th tick: the curve of Figure 5.4.
-        seeds: one per run.
-        arrays: [R, T] per block of 500 ticks, as in ``experiment.Foraging``: reward, food, poison, blocked, ...
-        records: where they come from; none for the original program's curves.
-    """
-
-    agent: str
-    config: str
+    agent: str  #: its policy, e.g. "thompson".
+    config: str  #: name of the config, or "original".
+    #: [R, T] mean reward of the last 1000 ticks, at every 500th tick: the curve of Figure 5.4.
     average: Float[np.ndarray, "R T"]
-    seeds: tuple[int, ...]
+    seeds: tuple[int, ...]  #: one per run.
+    #: [R, T] per block of 500 ticks, as in ``experiment.Foraging``: reward, food, poison, blocked, ...
     arrays: Mapping[str, np.ndarray]
-    records: tuple[Record, ...] = ()
+    records: tuple[Record, ...] = ()  #: where they come from; none for the original program's curves.
 
     @property
     def record(self) -> Record | None:

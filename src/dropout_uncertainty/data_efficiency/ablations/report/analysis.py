@@ -117,23 +117,14 @@ def comparisons(folder: Path | None = None) -> list[Comparison]:
 
 @dataclass(frozen=True)
 class Inside:
-    """What `mechanism` saw: R repetitions, M measured trials, T steps.
+    """What `mechanism` saw: R repetitions, M measured trials, T steps."""
 
-    Attributes:
-        plant: the cart-pole.
-        measured: the measured trials.
-        horizons: lengths of the predicted trial at which the gradient was taken.
-        counts: numbers of particles for which the objective was averaged.
-        arrays: of the records, [R, M, ...].
-        records: where they come from; none for a live run.
-    """
-
-    plant: CartPole
-    measured: tuple[int, ...]
-    horizons: tuple[int, ...]
-    counts: tuple[int, ...]
-    arrays: Mapping[str, np.ndarray]
-    records: tuple[Record, ...] = ()
+    plant: CartPole  #: the cart-pole.
+    measured: tuple[int, ...]  #: the measured trials.
+    horizons: tuple[int, ...]  #: lengths of the predicted trial at which the gradient was taken.
+    counts: tuple[int, ...]  #: numbers of particles for which the objective was averaged.
+    arrays: Mapping[str, np.ndarray]  #: of the records, [R, M, ...].
+    records: tuple[Record, ...] = ()  #: where they come from; none for a live run.
 
     @classmethod
     def of(cls, process: Mechanism) -> "Inside":

@@ -65,10 +65,8 @@ class End:
     """What another end of a trial does to a learner: `ENDS` beside the config that it changes."""
 
     name: str
-    cost: Interval
-    """Mean cost per step of the tests, of the runs with this end."""
-    difference: Interval
-    """That, less the cost of the learner as it is over the same trials, paired by seed."""
+    cost: Interval  #: Mean cost per step of the tests, of the runs with this end.
+    difference: Interval  #: That, less the cost of the learner as it is over the same trials, paired by seed.
     records: tuple[Record, ...]
 
 

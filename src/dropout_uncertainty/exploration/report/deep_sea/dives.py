@@ -49,29 +49,18 @@ def solved_episode(found: Bool[np.ndarray, "R T"]) -> Float[np.ndarray, " R"]:
 
 @dataclass(frozen=True)
 class Dives:
-    """What one agent did in R seas of one size.
+    """What one agent did in R seas of one size."""
 
-    Attributes:
-        agent: a key of ``LABELS``.
-        size: their side N [cells].
-        seeds: one per sea.
-        found: [R] first episode (1, 2, ...) in which the treasure was found; inf if it was not.
-        again: [R] share of the later episodes in which it was found again; NaN if there are none.
-        solved: [R] episode by which each was solved; inf if it was not.
-        last: [R] episodes played, after which an unsolved sea is censored.
-        first_visit: [R, N, N] episode (0, 1, ...) that first entered a cell, -1: never.
-        records: where they come from.
-    """
-
-    agent: str
-    size: int
-    seeds: tuple[int, ...]
-    found: Float[np.ndarray, " R"]
+    agent: str  #: a key of ``LABELS``.
+    size: int  #: their side N [cells].
+    seeds: tuple[int, ...]  #: one per sea.
+    found: Float[np.ndarray, " R"]  #: [R] first episode (1, 2, ...) in which the treasure was found; inf if it was not.
+    #: [R] share of the later episodes in which it was found again; NaN if there are none.
     again: Float[np.ndarray, " R"]
-    solved: Float[np.ndarray, " R"]
-    last: Float[np.ndarray, " R"]
-    first_visit: np.ndarray
-    records: tuple[Record, ...] = ()
+    solved: Float[np.ndarray, " R"]  #: [R] episode by which each was solved; inf if it was not.
+    last: Float[np.ndarray, " R"]  #: [R] episodes played, after which an unsolved sea is censored.
+    first_visit: np.ndarray  #: [R, N, N] episode (0, 1, ...) that first entered a cell, -1: never.
+    records: tuple[Record, ...] = ()  #: where they come from.
 
     @property
     def label(self) -> str:

@@ -101,22 +101,14 @@ def particle_pairs(find: Find) -> list[Comparison]:
 
 @dataclass(frozen=True)
 class Cloud:
-    """What refitting leaves of the spread that a learner plans with.
+    """What refitting leaves of the spread that a learner plans with."""
 
-    Attributes:
-        name: of the learner.
-        particles: those that it plans with.
-        left: by kind of noise [R, trial, T]: mean variance of the angle over draws, as a share of that of many
-            particles.
-        typical: the same of the median over draws.
-        records: where it comes from; none for a live run.
-    """
-
-    name: str
-    particles: int
+    name: str  #: of the learner.
+    particles: int  #: those that it plans with.
+    #: by kind of noise [R, trial, T]: mean variance of the angle over draws, as a share of that of many particles.
     left: Mapping[str, Float[np.ndarray, "R trials T"]]
-    typical: Mapping[str, Float[np.ndarray, "R trials T"]]
-    records: tuple[Record, ...] = ()
+    typical: Mapping[str, Float[np.ndarray, "R trials T"]]  #: the same of the median over draws.
+    records: tuple[Record, ...] = ()  #: where it comes from; none for a live run.
 
 
 def cloud(name: str, particles: int, arrays: Mapping[str, np.ndarray], found: Sequence[Record] = ()) -> Cloud:
