@@ -15,10 +15,11 @@ import time
 import torch
 
 from dropout_uncertainty.exploration import q_network
-from dropout_uncertainty.exploration.agent import CHUNK
 from dropout_uncertainty.exploration.deep_sea import experiment as seas
+from dropout_uncertainty.exploration.deep_sea.config import EPISODES
 from dropout_uncertainty.exploration.experiment import BLOCK, CONFIGS, Foraging, start
 from dropout_uncertainty.exploration.foraging import world
+from dropout_uncertainty.exploration.foraging.world import CHUNK
 from dropout_uncertainty.rng import generator
 from dropout_uncertainty.runs.records import provenance
 
@@ -159,7 +160,7 @@ def deep_sea(blocks, networks=40):
         made = seas.start(config, range(100, 100 + networks // config.members))
         for _ in range(2):
             made.advance()
-        steps = seas.EPISODES * config.size * networks
+        steps = EPISODES * config.size * networks
         print(f"  {agent:20} {steps / seconds(made.advance, time.process_time, blocks + 2):7.0f}")
 
 

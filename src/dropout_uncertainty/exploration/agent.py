@@ -6,6 +6,7 @@ and the present state go through the network together.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,15 +17,15 @@ from torch import Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import Masks
+from dropout_uncertainty.exploration.config import Config, make_policy
 from dropout_uncertainty.exploration.foraging import world
-from dropout_uncertainty.exploration.policies import Chance, Policy, gumbel
+from dropout_uncertainty.exploration.foraging.world import CHUNK
+from dropout_uncertainty.exploration.policies import Chance, gumbel
 from dropout_uncertainty.exploration.q_network import MaskStream, QNetwork, td_error
 from dropout_uncertainty.exploration.replay import ReplayMemory
 
-__all__ = ["CHUNK", "STATE_SIZE", "Agent"]
+__all__ = ["STATE_SIZE", "Agent"]
 
-#: Ticks for which random numbers are drawn ahead.
-CHUNK = 100
 C = len(world.ACTIONS)
 #: Numbers in a state: what is seen now, what was seen before, and the action between, one-hot times 27 (deepqlearn.js).
 STATE_SIZE = 2 * world.INPUTS + C
@@ -33,63 +34,39 @@ ONE_HOT = np.eye(C)
 
 
 class Agent:
-    """R replicas of one agent.
-
-    Args:
-        policy: the behaviour policy.
-        drop: drop probability before each weight layer.
-        hidden: widths of the hidden layers.
-        seeds: one per replica.
-        index: number of the agent in its world; part of the names of its random streams.
-        drop_acting: drop probabilities of the draws that are acted on; None for those of learning.
-        hold: ticks for which a draw is held in acting; a divisor or a multiple of ``CHUNK``.
-        draws_until: last tick at which a draw is acted on, later the mean weights; None for no end.
-        capacity: transitions in the replay memory.
-        learning_start: the agent learns once the memory holds more transitions than this.
-        batch, discount, rate, decay: of the learning step, see ``QNetwork.learn``.
-        held_out: capacity of a second memory for transitions that are never learned from; 0 for none.
-    """
+    """R replicas of agent number ``index`` of a config; the number is part of the names of its random streams."""
 
     def __init__(
         self,
-        policy: Policy,
-        drop: Sequence[float],
-        hidden: Sequence[int],
+        config: Config,
         seeds: Sequence[int],
-        *,
         index: int = 0,
-        drop_acting: Sequence[float] | None = None,
-        hold: int = 1,
-        draws_until: int | None = None,
-        capacity: int = 30_000,
-        learning_start: int = 1000,
-        batch: int = 64,
-        discount: float = 0.7,
-        rate: float = 0.001,
-        decay: float = 0.01,
-        held_out: int = 0,
+        *,
         dtype: torch.dtype = torch.float32,
         device: str = "cpu",
     ) -> None:
-        self.policy, self.drop, self.seeds, self.index = policy, tuple(drop), tuple(seeds), index
-        self.hold, self.draws_until = hold, np.inf if draws_until is None else draws_until
+        mine, self.seeds, self.index = config.agents[index], tuple(seeds), index
+        self.policy, self.drop, self.hold = make_policy(mine.policy, config), mine.drop, mine.hold
+        self.draws_until = np.inf if mine.draws_until is None else mine.draws_until
         # the draw of every tick is the last one of the learning step, unless it differs from those
-        own_draws = policy.draws_weights and (hold > 1 or drop_acting is not None)
+        own_draws = self.policy.draws_weights and (mine.hold > 1 or mine.drop_acting is not None)
         self.chunk: int | None = None
-        self.drop_acting = tuple(self.drop if drop_acting is None else drop_acting) if own_draws else None
+        self.drop_acting = mine.drop_when_acting if own_draws else None
         self.ones: dict[int, Tensor] = {}
-        self.batch, self.learning_start = batch, learning_start
-        self.learning: dict[str, Any] = {"discount": discount, "rate": rate, "decay": decay}
+        self.batch, self.learning_start = config.batch, config.learning_start
+        self.learning: dict[str, Any] = {
+            "discount": config.discount, "rate": config.learning_rate, "decay": config.l2_decay,
+        }  # fmt: skip
         self.dtype, self.device, replicas = dtype, device, len(self.seeds)
-        self.network = QNetwork((STATE_SIZE, *hidden, C), self.seeds, index, dtype=dtype, device=device)
-        self.memory = ReplayMemory(replicas, capacity, STATE_SIZE, C, dtype=dtype, device=device)
-        self.held_out: ReplayMemory | None = None
-        if held_out:
-            self.held_out = ReplayMemory(replicas, held_out, STATE_SIZE, C, dtype=dtype, device=device)
+        self.network = QNetwork((STATE_SIZE, *config.hidden, C), self.seeds, index, dtype=dtype, device=device)
+        memory = partial(ReplayMemory, replicas, state_size=STATE_SIZE, actions=C, dtype=dtype, device=device)
+        self.memory = memory(capacity=config.memory)
+        # as the memories fill and forget at the same pace, both hold transitions of the same ages
+        self.held_out = memory(capacity=config.held_out_size) if config.held_out_every else None
         self.current = torch.zeros(replicas, STATE_SIZE + C, dtype=dtype).numpy()
-        self.minibatch = torch.zeros(replicas, 2 * batch + 2, STATE_SIZE + C, dtype=dtype, device=device)
+        self.minibatch = torch.zeros(replicas, 2 * self.batch + 2, STATE_SIZE + C, dtype=dtype, device=device)
         #: Sum of squared TD errors of the replay minibatches [R] and number of learning steps, since last asked.
-        self.squared_error, self.steps = torch.zeros(len(self.seeds), device=device), 0
+        self.squared_error, self.steps = torch.zeros(replicas, device=device), 0
 
     def prepare(self, chunk: int, holding_out: bool = False) -> None:
         """Draw the random numbers for the ticks of a chunk (0, 1, ...); ``holding_out``: transitions are kept aside."""

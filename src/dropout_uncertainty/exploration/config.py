@@ -5,8 +5,7 @@ from typing import Any
 
 from dropout_uncertainty.bayes import check_probability
 from dropout_uncertainty.errors import UserError
-from dropout_uncertainty.exploration.agent import CHUNK
-from dropout_uncertainty.exploration.foraging.world import Rules
+from dropout_uncertainty.exploration.foraging.world import CHUNK, Rules
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
 from dropout_uncertainty.settings import idle, tidy
 
@@ -68,6 +67,11 @@ class Config:
     #: Each n-th block of transitions is kept from learning, to measure TD errors on it; 0: none. Ours.
     held_out_every: int = 0
     rules: Rules = field(default_factory=Rules)  #: Rules of the world.
+
+    @property
+    def held_out_size(self) -> int:
+        """Transitions kept from learning in memory, as many as there are of those age among the others."""
+        return self.memory // (self.held_out_every - 1) if self.held_out_every else 0
 
     def __post_init__(self) -> None:
         tidy(self)

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.exploration.agent import CHUNK, STATE_SIZE, Agent
-from dropout_uncertainty.exploration.config import BLOCK, NO_DROPOUT, AgentConfig, Config, check_precision, make_policy
+from dropout_uncertainty.exploration.agent import STATE_SIZE, Agent
+from dropout_uncertainty.exploration.config import BLOCK, NO_DROPOUT, AgentConfig, Config, check_precision
 from dropout_uncertainty.exploration.foraging import world
-from dropout_uncertainty.exploration.foraging.world import World
+from dropout_uncertainty.exploration.foraging.world import CHUNK, World
 from dropout_uncertainty.runs import sweep
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import precision_dtype
@@ -123,22 +123,12 @@ class Foraging:
         self.config, self.seeds = of_type(Config, config, "config"), rng.check_seeds(seeds)
         self.total, self.done = config.ticks // BLOCK, 0
         self.world = World(world.start_numbers(self.seeds), len(config.agents), config.rules)
-        self.agents = [self._agent(index, precision_dtype(precision), device) for index in range(len(config.agents))]
+        options: dict[str, Any] = {"dtype": precision_dtype(precision), "device": device}
+        self.agents = [Agent(config, self.seeds, index, **options) for index in range(len(config.agents))]
         shape = (len(self.seeds), len(self.agents), self.total)
         self.log = {name: np.full(shape, np.nan) for name in self.LOG}
         evaluations = (*shape[:2], self.total // config.held_out_every) if config.held_out_every else None
         self.held_out = np.full((*evaluations, 2), np.nan) if evaluations else None
-
-    def _agent(self, index: int, dtype: torch.dtype, device: str) -> Agent:
-        config, agent = self.config, self.config.agents[index]
-        # as the memories fill and forget at the same pace, both hold transitions of the same ages
-        held_out = config.memory // (config.held_out_every - 1) if config.held_out_every else 0
-        return Agent(
-            make_policy(agent.policy, config), agent.drop, config.hidden, self.seeds, index=index,
-            drop_acting=agent.drop_acting, hold=agent.hold, draws_until=agent.draws_until,
-            capacity=config.memory, learning_start=config.learning_start, batch=config.batch, discount=config.discount,
-            rate=config.learning_rate, decay=config.l2_decay, held_out=held_out, dtype=dtype, device=device,
-        )  # fmt: skip
 
     def advance(self) -> str:
         """Run one block of ticks; return the mean reward per agent."""
@@ -230,8 +220,7 @@ start = Foraging
 
 def memory(config: Config) -> float:
     """Return an estimate of the bytes that a repetition takes: its replay memories, and the copies for a checkpoint."""
-    held_out = config.memory // (config.held_out_every - 1) if config.held_out_every else 0
-    rows = 2 * (config.memory + held_out)
+    rows = 2 * (config.memory + config.held_out_size)
     return 4.0 * len(config.agents) * rows * (STATE_SIZE + len(world.ACTIONS)) * 5
 
 

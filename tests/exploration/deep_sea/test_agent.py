@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from dropout_uncertainty.exploration.deep_sea.agent import EPISODES, Agent
+from dropout_uncertainty.exploration.deep_sea.agent import Agent
+from dropout_uncertainty.exploration.deep_sea.config import EPISODES, Config
 from dropout_uncertainty.exploration.deep_sea.world import MOVE_COST, cell_count
-from dropout_uncertainty.exploration.policies import policy
 
 N, SEEDS = 4, (100, 101, 102)
 
 
 def agent(name="thompson", **settings):
-    settings = {"hidden": (12, 8), "batch": 8} | settings
-    return Agent(policy(name, burn_in=-2), N, SEEDS, **settings)
+    return Agent(Config(name, N, **{"hidden": (12, 8), "batch": 8, "discount": 0.7} | settings), SEEDS)
 
 
 def play(made, blocks=1):
@@ -42,12 +41,12 @@ def test_a_draw_is_held_for_a_move_or_for_an_episode():
     assert (held[1:, 0] != held[:-1, 0]).any(axis=(1, 2)).all()
     _, fresh = play(agent(held="move", drop=drop))
     assert (fresh[:, 1:] != fresh[:, :-1]).any(axis=(2, 3)).all()
-    _, mean = play(agent("greedy", held="episode", drop=drop))
+    _, mean = play(agent("greedy", drop=drop))
     assert (mean == 1).all()  # learns with dropout, acts without
 
 
 def test_the_memory_holds_what_happened():
-    made = agent("boltzmann", capacity=200)
+    made = agent("boltzmann", memory=200)
     cells, _ = play(made, 2)
     sea, moves = made.sea, 2 * EPISODES * N
     memory = made.memory.memory.view(len(SEEDS), -1, 3).numpy()
@@ -65,7 +64,7 @@ def test_the_memory_holds_what_happened():
 
 
 def test_a_member_of_an_ensemble_learns_from_its_share():
-    made = agent("greedy", members=5, share=0.5, capacity=400)
+    made = agent("greedy", members=5, share=0.5, memory=400)
     play(made, 5)
     taken = made.memory.memory.view(len(SEEDS), 5, -1, 3)[..., : 2 * made.memory.size : 2, 1:].sum(-1)
     assert set(taken.unique().tolist()) == {0.0, 1.0}
@@ -74,7 +73,7 @@ def test_a_member_of_an_ensemble_learns_from_its_share():
 
 
 def test_an_ensemble_follows_one_member_through_an_episode():
-    made = agent("greedy", members=3, prior_scale=2.0, rate=0.0)
+    made = agent("greedy", members=3, prior_scale=2.0, learning_rate=1e-30)
     cells, _ = play(made)
     every = torch.arange(cell_count(N)).repeat(3 * len(SEEDS), 1)
     q = (made.network.forward(every)[-1] + made.prior).view(len(SEEDS), 3, -1, 2).numpy()

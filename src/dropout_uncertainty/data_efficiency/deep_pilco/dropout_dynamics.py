@@ -196,9 +196,11 @@ class DropoutDynamics(Networks):
         biases[-1] = biases[-1] * self.target_std + self.target_mean
         return DrawnFunction(tuple(weights), tuple(biases), masks[0], self.activation, self.angle_features)
 
-    def mean(self) -> "MeanDynamics":
+    def mean(self) -> "DropoutDynamics":
         """Return the mean networks (weight scaling) in the place of their draws; parameters and scaling are shared."""
-        return MeanDynamics(self)
+        sure = copy.copy(self)
+        sure.drop = (0.0,) * len(self.drop)
+        return sure
 
     def fit(
         self,
@@ -294,35 +296,6 @@ class DropoutDynamics(Networks):
 
     def _penalty(self, decays: Sequence[float]) -> Tensor:
         return sum(d * w.detach().square().sum((1, 2)) for d, w in zip(decays, self.net.weights, strict=True))
-
-
-@dataclass(frozen=True)
-class MeanDynamics:
-    """A model that is sure of itself: networks trained with dropout, followed by all particles without it."""
-
-    networks: DropoutDynamics
-
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        """One per replica."""
-        return self.networks.seeds
-
-    @property
-    def log_noise(self) -> Tensor:
-        """Logarithms of the noise standard deviations of the networks."""
-        return self.networks.log_noise
-
-    def draw(self, count: int, *path: str | int) -> Masks:
-        """Return no masks: the deterministic pass."""
-        return ()
-
-    def function(self, masks: Masks | None) -> DrawnFunction:
-        """Return the function that all particles follow."""
-        return self.networks.function(None)
-
-    def select(self, replicas: Sequence[int]) -> "MeanDynamics":
-        """Return a copy with some of the replicas."""
-        return MeanDynamics(self.networks.select(replicas))
 
 
 def check_finite(*data: Tensor) -> None:

@@ -5,7 +5,6 @@ one of them through an episode. What is told apart here is how long a draw is he
 """
 
 from collections.abc import Callable, Sequence
-from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -15,74 +14,37 @@ from torch import Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.bayes import Masks
+from dropout_uncertainty.exploration.deep_sea.config import EPISODES, Config, make_policy
 from dropout_uncertainty.exploration.deep_sea.network import CellNetwork
 from dropout_uncertainty.exploration.deep_sea.world import ACTIONS, DeepSea, cell_count, random_mapping
-from dropout_uncertainty.exploration.policies import Chance, Policy, gumbel
+from dropout_uncertainty.exploration.policies import Chance, gumbel
 from dropout_uncertainty.exploration.q_network import MaskStream
 from dropout_uncertainty.exploration.replay import ReplayMemory
 
-__all__ = ["EPISODES", "HELD", "Agent", "Held"]
+__all__ = ["Agent"]
 
-#: Episodes for which random numbers are drawn ahead.
-EPISODES = 10
-#: How long a draw is held.
-Held = Literal["move", "episode"]
-HELD: tuple[Held, ...] = get_args(Held)
 ONE_HOT = np.eye(ACTIONS)
 
 
 class Agent:
-    """R replicas of one agent, each in a sea of its own.
-
-    Args:
-        policy: how it turns values into an action.
-        size: N of the sea.
-        seeds: one per replica.
-        hidden: widths of the hidden layers.
-        drop: drop probability before each weight layer; the first is 0.
-        held: how long a weight draw is held where the policy acts on one.
-        members: networks per replica, of which one is followed through an episode.
-        prior_scale: β of randomised prior functions (Osband et al. 2018): Q = f + β p with p a network that is drawn
-            at the start and never learns; 0 for none.
-        share: probability with which a member gets to learn from a transition.
-        capacity: transitions in each replay memory.
-        batch, discount, rate, decay: of the learning step, see ``QNetwork.learn``. Learning begins when a memory holds
-            ``batch`` transitions.
-    """
+    """R replicas of one agent, each in a sea of its own. Learning begins when a memory holds a minibatch."""
 
     def __init__(
-        self,
-        policy: Policy,
-        size: int,
-        seeds: Sequence[int],
-        *,
-        hidden: Sequence[int] = (50, 50),
-        drop: Sequence[float] = (0.0, 0.0, 0.0),
-        held: Held = "move",
-        members: int = 1,
-        prior_scale: float = 0.0,
-        share: float = 1.0,
-        capacity: int = 30_000,
-        batch: int = 64,
-        discount: float = 0.99,
-        rate: float = 0.001,
-        decay: float = 0.01,
-        dtype: torch.dtype = torch.float32,
-        device: str = "cpu",
+        self, config: Config, seeds: Sequence[int], *, dtype: torch.dtype = torch.float32, device: str = "cpu"
     ) -> None:
-        self.policy, self.size, self.seeds, self.drop, self.held = policy, size, tuple(seeds), tuple(drop), held
-        self.members, self.share, self.batch = members, share, batch
-        self.discount, self.rate, self.decay = discount, rate, decay
-        self.sea = DeepSea(random_mapping(size, seeds))
+        self.policy, self.size, self.seeds, self.drop = make_policy(config), config.size, tuple(seeds), config.drop
+        self.members, self.share, self.batch, self.held = config.members, config.share, config.batch, config.held
+        self.discount, self.rate, self.decay = config.discount, config.learning_rate, config.l2_decay
+        self.sea = DeepSea(random_mapping(self.size, seeds))
         self.dtype, self.device = dtype, device
         self.sea_dtype = torch.zeros(0, dtype=dtype).numpy().dtype
-        self.sizes = cell_count(size), *hidden, ACTIONS
+        self.sizes = cell_count(self.size), *config.hidden, ACTIONS
         self.network = self._networks("learner")
-        self.memory = ReplayMemory(len(self.network.seeds), capacity, 1, ACTIONS, dtype=dtype, device=device)
+        self.memory = ReplayMemory(len(self.network.seeds), config.memory, 1, ACTIONS, dtype=dtype, device=device)
         self.prior: Tensor | None = None
-        if prior_scale:
+        if config.prior_scale:
             every_cell = torch.arange(self.sizes[0], device=device).repeat(len(self.network.seeds), 1)
-            self.prior = prior_scale * self._networks("prior").forward(every_cell)[-1]
+            self.prior = config.prior_scale * self._networks("prior").forward(every_cell)[-1]
 
     def _networks(self, role: str) -> CellNetwork:
         """Return the networks of all members, those of a replica one after the other."""

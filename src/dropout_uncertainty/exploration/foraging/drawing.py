@@ -15,7 +15,6 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.exploration.agent import CHUNK
 from dropout_uncertainty.exploration.foraging import world as w
 from dropout_uncertainty.exploration.foraging.world import Outcome, World
 
@@ -134,11 +133,11 @@ def rollout(
     world = World(w.start_numbers(seeds), rules=rules)
     while True:
         tick = world.clock + 1
-        if (tick - 1) % CHUNK == 0:
-            ageing, spawning = w.coming_numbers(seeds, tick // CHUNK, CHUNK)
+        if (tick - 1) % w.CHUNK == 0:
+            ageing, spawning = w.coming_numbers(seeds, tick // w.CHUNK, w.CHUNK)
         readings = world.sense()
         actions = choose(world.inputs(readings)[:, 0], tick)[:, None]
-        outcome = world.step(actions, ageing, spawning[:, (tick - 1) % CHUNK // w.SPAWN_PERIOD])
+        outcome = world.step(actions, ageing, spawning[:, (tick - 1) % w.CHUNK // w.SPAWN_PERIOD])
         yield Tick(world, outcome, world.reward(readings, actions, outcome))
 
 

@@ -47,6 +47,8 @@ INPUTS = 3 * EYES
 DIGESTION = {FOOD: 5.0, POISON: -6.0}
 OLD_AGE, AGEING_PERIOD, AGEING_CHANCE = 5000, 100, 0.1
 SPAWN_PERIOD, SPAWN_CHANCE, MARGIN = 10, 0.25, 20.0
+#: Ticks for which random numbers are drawn ahead.
+CHUNK = 100
 FAR = 1e6  # where the empty item slots wait, out of everyone's sight
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.exploration.agent import ACTION_SCALE, CHUNK, ONE_HOT, STATE_SIZE
+from dropout_uncertainty.exploration.agent import ACTION_SCALE, ONE_HOT, STATE_SIZE
 from dropout_uncertainty.exploration.config import make_policy
 from dropout_uncertainty.exploration.experiment import CONFIGS, EXPERIMENT
 from dropout_uncertainty.exploration.foraging import world as w
@@ -70,12 +70,12 @@ class TrainedAgent:
 
     def values(self, inputs: NDArray, tick: int) -> tuple[Float[np.ndarray, "1 C"], Float[np.ndarray, "1 C"]]:
         """Return the Q-values of the present state under a weight draw and without dropout."""
-        step = (tick - 1) % CHUNK
+        step = (tick - 1) % w.CHUNK
         if step == 0:
-            chunk = (tick - 1) // CHUNK
-            draws, number = max(1, CHUNK // self.hold), chunk // max(1, self.hold // CHUNK)
+            chunk = (tick - 1) // w.CHUNK
+            draws, number = max(1, w.CHUNK // self.hold), chunk // max(1, self.hold // w.CHUNK)
             self.masks = MaskStream([self.seed], self.network.sizes[:-1], self.drop, draws, 1, "animation", number)
-            uniform = torch.rand(CHUNK, 2 + C, dtype=torch.float64, generator=self._generator(chunk)).numpy()
+            uniform = torch.rand(w.CHUNK, 2 + C, dtype=torch.float64, generator=self._generator(chunk)).numpy()
             self.chance = uniform[:, :1], uniform[:, 1:2], gumbel(uniform[:, None, 2:])
         state = self.state(inputs).astype(np.float32)
         rows = torch.from_numpy(np.stack((state, state), axis=1))
@@ -87,7 +87,7 @@ class TrainedAgent:
     def __call__(self, inputs: Float[np.ndarray, "1 27"], tick: int) -> Int[np.ndarray, " 1"]:
         """Return the action at ``tick`` (1, 2, ... in turn)."""
         drawn, plain = self.values(inputs, tick)
-        chance = Chance(*(numbers[(tick - 1) % CHUNK] for numbers in self.chance))
+        chance = Chance(*(numbers[(tick - 1) % w.CHUNK] for numbers in self.chance))
         action = self.policy(drawn if self.acts_on_draws else plain, chance, self.ticks)
         self.before, self.taken = inputs, ONE_HOT[action]
         return action
