@@ -31,11 +31,7 @@ def check_probability(p: float) -> float:
 
 
 def dropout_mask(
-    shape: Sequence[int],
-    p: float,
-    generator: Generator,
-    dtype: torch.dtype = torch.float32,
-    out: Tensor | None = None,
+    shape: Sequence[int], p: float, generator: Generator, dtype: torch.dtype = torch.float32, out: Tensor | None = None
 ) -> Float[Tensor, "..."]:
     """Return a mask of the given shape: 0 with probability ``p``, else 1/(1 - p), so that its mean is 1.
 

@@ -37,10 +37,7 @@ EXPERIMENTS: dict[str, tuple[str, ...]] = {
 #: Seeds of one command.
 MOST_SEEDS = 100_000
 
-app = typer.Typer(
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 record_commands = typer.Typer(help="List, verify and pack the stored records.", no_args_is_help=True)
 app.add_typer(record_commands, name="records")
 

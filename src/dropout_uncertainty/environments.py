@@ -10,8 +10,6 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
-__all__ = ["ENVIRONMENTS", "announce", "register"]
-
 #: Registered names, and where the environments are.
 ENVIRONMENTS = {
     "dropout_uncertainty/CartPoleSwingUp-v0": "dropout_uncertainty.data_efficiency.plant.environment:CartPoleSwingUp",

@@ -10,8 +10,6 @@ from pathlib import Path
 
 from dropout_uncertainty.errors import UserError
 
-__all__ = ["DATA", "RECORDS", "checkout", "create", "existing", "named", "resolve"]
-
 RECORDS, DATA = "DROPOUT_UNCERTAINTY_RECORDS", "DROPOUT_UNCERTAINTY_DATA"
 
 

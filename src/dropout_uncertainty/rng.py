@@ -17,8 +17,6 @@ from typing import SupportsIndex
 import torch
 from torch import Generator, Tensor
 
-__all__ = ["check_seeds", "derived", "generator", "normal", "stacked", "uniform"]
-
 
 def generator(seed: SupportsIndex, *path: str | SupportsIndex, device: str | torch.device = "cpu") -> Generator:
     """Return the generator of one stream, another one for every (seed, path).

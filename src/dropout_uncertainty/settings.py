@@ -14,8 +14,6 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-__all__ = ["config_dict", "config_diff", "config_hash", "idle", "of_type", "tidy", "widened"]
-
 #: Equal to no value of a config.
 _NEVER = object()
 

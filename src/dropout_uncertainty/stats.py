@@ -217,22 +217,12 @@ def _expanded(level: float, n: int) -> float:
 
 def t_interval(values: Sequence[float] | np.ndarray) -> Interval:
     """Return the mean of independent repetitions with Student's t interval."""
-    values = _row(values)
-    n = len(values)
-    if n < 2:
-        return Interval(float(values.mean()) if n else np.nan, np.nan, np.nan, n)
-    half = scipy_stats.sem(values) * scipy_stats.t.ppf((1 + CONFIDENCE) / 2, n - 1)
-    return Interval(float(values.mean()), float(values.mean() - half), float(values.mean() + half), n)
+    return mean_estimate(values).interval
 
 
 def share_interval(flags: Sequence[bool] | np.ndarray) -> Interval:
     """Return the share of true flags with Wilson's interval, which stays within [0, 1] and is not empty at its ends."""
-    flags = _flags(flags)
-    n = len(flags)
-    if n == 0:
-        return Interval(np.nan, np.nan, np.nan, 0)
-    limits = scipy_stats.binomtest(int(flags.sum()), n).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(float(flags.mean()), float(limits.low), float(limits.high), n)
+    return share_estimate(flags, 0.0).interval
 
 
 def common(*seeds: Sequence[int]) -> list[list[int]]:

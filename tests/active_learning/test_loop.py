@@ -64,10 +64,7 @@ def test_a_learner_may_return_any_kind_of_numbers(change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            lambda x: x.transpose(1, 2),
-            r"\[R, S, M, C\] = \[1, 7, 2, classes\] for 2 candidates, got \[1, 2, 7, 4\]",
-        ),
+        (lambda x: x.transpose(1, 2), r"\[R, S, M, C\] = \[1, 7, 2, classes\] for 2 candidates, got \[1, 2, 7, 4\]"),
         (lambda x: x[0], r"got \[7, 2, 4\]"),
         (lambda x: x[:, :, :1], r"for 2 candidates, got \[1, 7, 1, 4\]"),
         (lambda x: x.exp(), "sum to 1 over the classes, got sums from"),

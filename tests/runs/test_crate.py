@@ -139,9 +139,6 @@ def test_the_validator_of_ro_crates_finds_no_requirement_broken(folder, tmp_path
     monkeypatch.setattr(HttpRequester, "get", lambda *_, **__: answer, raising=False)
     archive = crate.write(tmp_path / "records.zip", URL)
     settings = services.ValidationSettings(
-        rocrate_uri=str(archive),
-        requirement_severity=Severity.REQUIRED,
-        offline=True,
-        cache_path=tmp_path / "cache",
+        rocrate_uri=str(archive), requirement_severity=Severity.REQUIRED, offline=True, cache_path=tmp_path / "cache"
     )
     assert [issue.message for issue in services.validate(settings).get_issues()] == []

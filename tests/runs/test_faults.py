@@ -97,8 +97,7 @@ def test_a_disk_without_hard_links(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("moment", "survives"),
-    [("os.fsync = kill", False), ("os.link = kill", False), ("Path.unlink = kill", True)],
+    ("moment", "survives"), [("os.fsync = kill", False), ("os.link = kill", False), ("Path.unlink = kill", True)]
 )
 def test_a_kill_during_a_write_leaves_all_or_nothing(tmp_path, moment, survives):
     outcome = child(tmp_path, f"{moment}\nwrite()")

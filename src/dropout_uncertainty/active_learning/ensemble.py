@@ -10,8 +10,6 @@ from torch import Tensor
 
 from dropout_uncertainty.active_learning.loop import Learner
 
-__all__ = ["Ensemble", "Member"]
-
 
 class Member(Learner, Protocol):
     """A learner whose networks are a function of the round, and whose test error can be asked for."""

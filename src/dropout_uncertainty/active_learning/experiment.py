@@ -313,10 +313,7 @@ class CNNLearner:
         block = self.scored if self.config.masks_per_image else 0
         self.scored += 1
         path = ("predict", *self.path, self.round, block)
-        return torch.stack(
-            [network.head(features, network.draw(count, *path, draw)) for draw in range(draws)],
-            1,
-        )
+        return torch.stack([network.head(features, network.draw(count, *path, draw)) for draw in range(draws)], 1)
 
     @torch.inference_mode()
     def test_error(self, draws: int = 0) -> Float[np.ndarray, " R"]:

@@ -8,8 +8,6 @@ from jaxtyping import Int
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-__all__ = ["indices", "numbers", "whole"]
-
 
 def numbers(given: ArrayLike, what: str) -> Tensor:
     """Return real numbers as a tensor without gradient; a tensor keeps its device and precision.

@@ -9,8 +9,6 @@ from torch import Generator, Tensor
 
 from dropout_uncertainty.active_learning.inputs import indices, numbers, whole
 
-__all__ = ["Pool", "Split", "balanced_subset", "split"]
-
 
 @dataclass(frozen=True)
 class Split:

@@ -22,8 +22,6 @@ from dropout_uncertainty.active_learning.loop import Learner, acquire, predictio
 from dropout_uncertainty.active_learning.pools import Pool
 from dropout_uncertainty.runs import checkpoints
 
-__all__ = ["Curve", "simulate"]
-
 
 @dataclass(frozen=True)
 class Curve:

@@ -16,8 +16,6 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import Rollout
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 
-__all__ = ["EXPERIMENT", "GROUP", "Learner"]
-
 EXPERIMENT = "data_efficiency"
 #: Most repetitions of a unit of section 5.4, by device: on a CPU the time per repetition hardly falls beyond.
 GROUP = {"cpu": 20, "cuda": 40}

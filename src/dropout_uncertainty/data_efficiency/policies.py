@@ -51,10 +51,7 @@ class RBFPolicy:
 
     @classmethod
     def from_targets(
-        cls,
-        centres: Float[Tensor, "R N D"],
-        log_length_scales: Float[Tensor, "R F D"],
-        targets: Float[Tensor, "R F N"],
+        cls, centres: Float[Tensor, "R N D"], log_length_scales: Float[Tensor, "R F D"], targets: Float[Tensor, "R F N"]
     ) -> "RBFPolicy":
         """Return the posterior mean of a process that saw ``targets`` at ``centres``, as PILCO does."""
         noise = NOISE_STD**2 * torch.eye(centres.shape[-2], dtype=centres.dtype, device=centres.device)

@@ -8,8 +8,6 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 from torch import Tensor
 
-__all__ = ["Plan", "ReplayMemory"]
-
 
 class Plan(NamedTuple):
     """Which transitions the coming steps overwrite and read, for each step.

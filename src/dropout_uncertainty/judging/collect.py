@@ -22,8 +22,6 @@ from dropout_uncertainty.exploration.report.statements import STATEMENTS as EXPL
 from dropout_uncertainty.judging.results import Result
 from dropout_uncertainty.judging.statements import Judged, Statement, judge
 
-__all__ = ["SECTIONS", "STATEMENTS", "collect", "judged", "number"]
-
 #: Sections by the letters with which the ids of their statements begin.
 SECTIONS = {"AL": "5.2 Active learning", "EX": "5.3 Exploration", "DE": "5.4 Data efficiency"}
 

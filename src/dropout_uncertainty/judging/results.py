@@ -13,8 +13,6 @@ from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Interval
 
-__all__ = ["Result", "finite", "listed", "measured", "printed", "thesis_value"]
-
 
 @dataclass(frozen=True)
 class Result:

@@ -282,11 +282,7 @@ def _execute(name: str, profile: str, places: int) -> dict[str, float]:
     except failures as error:
         raise BookError(f"{source} stopped {_last_begun(running)}: {error}") from None
     running.replace(EXECUTED / running.name)
-    return {
-        "seconds": time.monotonic() - begin,
-        "cpu_seconds": _cpu_seconds() - worked,
-        "megabytes": max(peak),
-    }
+    return {"seconds": time.monotonic() - begin, "cpu_seconds": _cpu_seconds() - worked, "megabytes": max(peak)}
 
 
 def _cell(index: int, code: str) -> str:

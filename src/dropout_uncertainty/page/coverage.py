@@ -6,8 +6,6 @@ from typing import Any
 from dropout_uncertainty.judging.statements import Judged
 from dropout_uncertainty.runs import records
 
-__all__ = ["rows", "sentences"]
-
 
 def rows() -> list[dict[str, str]]:
     """Return the lines of ``records/coverage.csv``: place, words, statements (ids with a space between) and reason."""

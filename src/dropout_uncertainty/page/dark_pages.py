@@ -11,8 +11,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-__all__ = ["KEY", "TWICE", "offer", "taken_out"]
-
 #: Set in the environment of a notebook whose figures are to be drawn twice.
 TWICE = "DROPOUT_UNCERTAINTY_TWICE"
 #: Where the second picture stands in the metadata of the first.

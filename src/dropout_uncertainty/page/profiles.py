@@ -9,8 +9,6 @@ from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import execute, executors
 from dropout_uncertainty.runs.unit import Unit, missing
 
-__all__ = ["PROFILES", "check", "complete", "computed"]
-
 PROFILES = ("recorded", "quick", "full")
 
 

@@ -10,8 +10,6 @@ from markdown_it import MarkdownIt
 
 from dropout_uncertainty.runs.records import Record
 
-__all__ = ["ORIGIN", "Folded", "Rendered", "Table", "Words", "command", "grid_of", "provenance"]
-
 #: How the line begins that says which records a page rests on.
 ORIGIN = "Where these numbers come from"
 

@@ -4,8 +4,6 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-__all__ = ["Process", "finished", "rounding"]
-
 
 @runtime_checkable
 class Process(Protocol):

@@ -11,8 +11,6 @@ from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.process import Process
 from dropout_uncertainty.runs.unit import RunError, Unit
 
-__all__ = ["Sweep", "units"]
-
 
 @dataclass(frozen=True)
 class Sweep:

@@ -98,10 +98,7 @@ def test_functions_match_monte_carlo():
 def test_features_and_squash_match_monte_carlo():
     _, _, x = some_functions()
     samples = draws(x, 40_000)
-    for function, moments in (
-        (features, feature_moments(x)),
-        (lambda u: squash(u, 10.0), squash_moments(x, 10.0)),
-    ):
+    for function, moments in ((features, feature_moments(x)), (lambda u: squash(u, 10.0), squash_moments(x, 10.0))):
         values = function(samples)
         centred = values - values.mean(0)
         within_standard_errors(values, moments.mean)

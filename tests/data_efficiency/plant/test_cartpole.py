@@ -101,10 +101,7 @@ def test_batched_equals_one_at_a_time():
 
 
 def test_step_has_the_right_gradient():
-    state, force = (
-        some_states(3).requires_grad_(),
-        torch.randn(3, generator=generator(101), dtype=torch.float64),
-    )
+    state, force = (some_states(3).requires_grad_(), torch.randn(3, generator=generator(101), dtype=torch.float64))
     assert torch.autograd.gradcheck(lambda s, u: cartpole.step(MATLAB, s, u, 4), (state, force.requires_grad_()))
 
 

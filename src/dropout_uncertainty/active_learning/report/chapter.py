@@ -8,8 +8,6 @@ from dropout_uncertainty.active_learning.report.statements import STATEMENTS
 from dropout_uncertainty.page.profiles import computed
 from dropout_uncertainty.page.tables import Words
 
-__all__ = ["original", "peaks_in_tables", "pools", "rows", "threshold", "verdicts"]
-
 
 def rows(profile: str) -> dict[str, Row]:
     """Return the rows of Tables 5.1 and 5.2, and others on the same pool; in ``quick`` short runs, checked."""

@@ -17,8 +17,6 @@ from dropout_uncertainty.bayes import Masks
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DrawnFunction, DropoutDynamics
 from dropout_uncertainty.rng import derived
 
-__all__ = ["Ensemble", "MembersFunction"]
-
 
 @dataclass(frozen=True)
 class MembersFunction:

@@ -20,16 +20,7 @@ from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import precision_dtype
 from dropout_uncertainty.settings import of_type
 
-__all__ = [
-    "AS_TEXT",
-    "AS_WRITTEN",
-    "CONFIGS",
-    "OURS",
-    "SEARCH",
-    "DeepPilcoConfig",
-    "DeepPilcoLearning",
-    "start",
-]
+__all__ = ["AS_TEXT", "AS_WRITTEN", "CONFIGS", "OURS", "SEARCH", "DeepPilcoConfig", "DeepPilcoLearning", "start"]
 
 #: Trials whose policies are kept, for the animations and figure 5.8.
 SHOWN = (1, 2, 3, 5, 10, 20, 26, 40)
@@ -131,10 +122,7 @@ AS_WRITTEN = replace(
 AS_TEXT = replace(AS_WRITTEN, memory=0, angle_features=False, standardise=False)
 #: What was tried to find `OURS`, on development seeds.
 TRIED = replace(OURS, trials=25)
-SEARCH: dict[str, DeepPilcoConfig] = {
-    "search/start": TRIED,
-    "search/rate-decay": replace(TRIED, policy_final_rate=0.1),
-}
+SEARCH: dict[str, DeepPilcoConfig] = {"search/start": TRIED, "search/rate-decay": replace(TRIED, policy_final_rate=0.1)}
 CONFIGS: dict[str, DeepPilcoConfig] = {
     "deep-pilco-ours": OURS,
     "deep-pilco-as-written": AS_WRITTEN,

@@ -195,12 +195,7 @@ class Improved:
 
 
 def improve(
-    model: Dynamics,
-    plant: CartPole,
-    shape: Shape,
-    plan: Planning,
-    parameters: Float[Tensor, "R P"],
-    *path: str | int,
+    model: Dynamics, plant: CartPole, shape: Shape, plan: Planning, parameters: Float[Tensor, "R P"], *path: str | int
 ) -> Improved:
     """Return policies of lower predicted cost, starting from ``parameters``; the path names the random streams."""
     if plan.optimiser == "bfgs":

@@ -40,12 +40,7 @@ class LSTM(nn.Module):
     """
 
     def __init__(
-        self,
-        sizes: Sequence[int],
-        drop: Sequence[float],
-        seeds: Sequence[int],
-        *,
-        dtype: torch.dtype = torch.float32,
+        self, sizes: Sequence[int], drop: Sequence[float], seeds: Sequence[int], *, dtype: torch.dtype = torch.float32
     ) -> None:
         super().__init__()
         if len(sizes) != 3 or len(drop) != 3:

@@ -10,8 +10,6 @@ from dropout_uncertainty.data_efficiency.model_free.config import ModelFreeConfi
 from dropout_uncertainty.data_efficiency.model_free.networks import Network, Trained
 from dropout_uncertainty.data_efficiency.model_free.replay import Transitions
 
-__all__ = ["DDPG"]
-
 
 class DDPG:
     """R replicas of policy and Q for ``inputs`` numbers and one action in [-1, 1]."""

@@ -10,8 +10,6 @@ from dropout_uncertainty.data_efficiency.model_free.config import ModelFreeConfi
 from dropout_uncertainty.data_efficiency.model_free.networks import Network, Trained
 from dropout_uncertainty.data_efficiency.model_free.replay import Transitions
 
-__all__ = ["NAF"]
-
 
 class NAF:
     """R replicas of one network with three outputs, of ``inputs`` numbers: V, and μ and L of the advantage.

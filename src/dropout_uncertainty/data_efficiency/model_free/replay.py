@@ -7,8 +7,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["Memory", "Transitions"]
-
 
 class Transitions(NamedTuple):
     """B steps of each of R replicas."""

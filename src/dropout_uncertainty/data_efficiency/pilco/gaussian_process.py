@@ -171,10 +171,7 @@ def penalty(
 
 
 def fit_hyper(
-    inputs: Float[Tensor, "R N D"],
-    targets: Float[Tensor, "R E N"],
-    start: Float[Tensor, "R E H"],
-    iterations: int,
+    inputs: Float[Tensor, "R N D"], targets: Float[Tensor, "R E N"], start: Float[Tensor, "R E H"], iterations: int
 ) -> tuple[Float[Tensor, "R E H"], Minimum]:
     """Return the hyper-parameters of smallest penalised negative log likelihood found from ``start``.
 

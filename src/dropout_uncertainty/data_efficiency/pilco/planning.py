@@ -210,10 +210,7 @@ def improve(
 
 
 def train_model(
-    inputs: Float[Tensor, "R N D"],
-    targets: Float[Tensor, "R E N"],
-    log_hyper: Tensor | None,
-    iterations: int,
+    inputs: Float[Tensor, "R N D"], targets: Float[Tensor, "R E N"], log_hyper: Tensor | None, iterations: int
 ) -> tuple[Tensor, Minimum]:
     """Return fitted hyper-parameters, begun from the given ones or, at first, from the spread of the data.
 

@@ -188,10 +188,7 @@ class Rollout:
 
 
 def rollout(
-    plant: CartPole,
-    start: Float[Tensor, "*batch 4"],
-    act: Callable[[Tensor, int], Tensor],
-    noise: Tensor,
+    plant: CartPole, start: Float[Tensor, "*batch 4"], act: Callable[[Tensor, int], Tensor], noise: Tensor
 ) -> Rollout:
     """Execute one trial of ``plant.steps`` steps.
 

@@ -11,8 +11,6 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole, tip
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["CART", "DARK", "cart_pole", "goal"]
-
 CART = (0.3, 0.12)  # width and height of the drawn cart [m]
 DARK = "#333333"
 

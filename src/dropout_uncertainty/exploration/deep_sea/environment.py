@@ -17,8 +17,6 @@ try:
 except ImportError as missing:
     raise UserError("the environment needs Gymnasium, which is not installed: pip install 'gymnasium>=1'") from missing
 
-__all__ = ["ID", "DeepSeaEnv"]
-
 ID = "dropout_uncertainty/DeepSea-v0"
 
 

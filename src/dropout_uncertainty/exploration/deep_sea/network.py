@@ -11,8 +11,6 @@ from torch import Tensor
 
 from dropout_uncertainty.exploration.q_network import QNetwork
 
-__all__ = ["CellNetwork"]
-
 
 class CellNetwork(QNetwork):
     """A Q-network whose ``forward`` and ``learn`` take cell numbers [R, rows] for one-hot vectors [R, rows, D].

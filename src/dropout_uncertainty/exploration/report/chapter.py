@@ -14,8 +14,6 @@ from dropout_uncertainty.exploration.report.analysis import BURN_IN, TARGET, Age
 from dropout_uncertainty.page.plotting import COLOURS, band
 from dropout_uncertainty.page.profiles import computed
 
-__all__ = ["agents", "exploring", "groups", "late", "learn", "live_rewards", "original", "target", "values"]
-
 
 def agents(profile: str) -> dict[str, Agents]:
     """Return the agents of each published config, and of ``ours`` together; in ``quick`` short runs, checked."""

@@ -25,11 +25,6 @@ from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Interval, common, paired_difference, share_interval, t_interval
 
-__all__ = [
-    "BASELINE", "NOMINAL", "Comparison", "Inside", "Times", "check_quick", "compare", "compared",
-    "comparisons", "coverage_of_pilco", "factor", "inside", "numbers", "pair", "results", "share_difference", "times",
-]  # fmt: skip
-
 #: The published record of `OURS`; its first trials are those of the variants' baseline.
 BASELINE = "deep-pilco-ours"
 #: The share of a normal distribution within two standard deviations.

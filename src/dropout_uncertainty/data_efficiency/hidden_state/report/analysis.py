@@ -23,8 +23,6 @@ from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import common, paired_difference, t_interval
 
-__all__ = ["CONTROL", "LANGUAGES", "MODELS", "SEEN", "Reading", "Run", "learners", "load", "reading", "results"]
-
 #: Models in words, by their configs.
 MODELS = {
     "last-one": "last observation",

@@ -10,8 +10,6 @@ from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.data_efficiency.report.figures import colour_of, log_trials
 from dropout_uncertainty.page.plotting import COLOURS, WIDTH, legend_above
 
-__all__ = ["unsolved", "values"]
-
 
 def values(seconds: np.ndarray, worth: Mapping[str, np.ndarray]) -> Figure:
     """Draw what standing is worth [T] against the time that has gone [T], by the way to treat a trial's end."""

@@ -6,14 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from dropout_uncertainty.exploration.deep_sea.experiment import AGENTS, CONFIGS
-from dropout_uncertainty.exploration.report.deep_sea.dives import (
-    FAMILY,
-    HORIZON,
-    LABELS,
-    Dives,
-    Seas,
-    load,
-)
+from dropout_uncertainty.exploration.report.deep_sea.dives import FAMILY, HORIZON, LABELS, Dives, Seas, load
 from dropout_uncertainty.exploration.report.deep_sea.growth import FORMS, growth
 from dropout_uncertainty.judging.results import Result, listed, measured
 from dropout_uncertainty.stats import Estimate, Interval, difference_of_shares, in_words, share_interval

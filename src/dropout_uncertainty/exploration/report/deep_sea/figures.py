@@ -13,8 +13,6 @@ from dropout_uncertainty.exploration.report.deep_sea.dives import HORIZON, LABEL
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, missing
 from dropout_uncertainty.stats import share_interval
 
-__all__ = ["AGENT_COLOURS", "growth", "in_lines", "reached", "shares", "survival"]
-
 AGENT_COLOURS = {
     "epsilon-greedy": COLOURS["epsilon-greedy"],
     "greedy": COLOURS["greedy"],

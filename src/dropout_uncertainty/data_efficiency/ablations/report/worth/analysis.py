@@ -20,11 +20,6 @@ from dropout_uncertainty.judging.results import Result, listed, measured
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import paired_difference, t_interval
 
-__all__ = [
-    "ALONE", "LITERAL", "LONGEST", "PAIRS", "PARTICLES", "Cloud", "Estimates", "Find", "cloud", "clouds", "coverage",
-    "estimates", "literal_pairs", "pairs", "particle_pairs", "results", "stored",
-]  # fmt: skip
-
 #: Finds a learner by the name of its config, among records or live runs; None if it has not been run.
 Find = Callable[[str], Learning | None]
 #: Trials over which two learners are compared, at most: those within which the thesis's succeeds.

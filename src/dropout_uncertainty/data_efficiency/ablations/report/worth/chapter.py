@@ -13,12 +13,7 @@ from dropout_uncertainty.data_efficiency.ablations.mchutchon import ParticlePilc
 from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, factor
 from dropout_uncertainty.data_efficiency.ablations.report.chapter import TINY
 from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
-from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import (
-    PAIRS,
-    Cloud,
-    Estimates,
-    coverage,
-)
+from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import PAIRS, Cloud, Estimates, coverage
 from dropout_uncertainty.data_efficiency.pilco.learner import PilcoConfig
 from dropout_uncertainty.data_efficiency.report import analysis
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
