@@ -1,8 +1,11 @@
 """What computes a unit: a process that is advanced step by step, and whose state is its checkpoint."""
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+import torch
 
 
 @runtime_checkable
@@ -42,3 +45,14 @@ def finished(process: Process) -> Process:
 def rounding(process: Process) -> int:
     """Return the number of the process's way of rounding, 1 at first."""
     return getattr(process, "ROUNDING", 1)
+
+
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Let PyTorch use so many threads for a while."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

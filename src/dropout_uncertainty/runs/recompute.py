@@ -5,9 +5,8 @@ steps, or as ``PER_STEP`` of the process times that; its first entries are settl
 without such an axis, final weights for instance, are compared when the whole unit has been recomputed.
 """
 
-import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ import torch
 from tqdm.auto import tqdm
 
 from dropout_uncertainty.runs import records
-from dropout_uncertainty.runs.process import Process, rounding
+from dropout_uncertainty.runs.process import Process, rounding, threads
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.runs.unit import Unit, check_device, differing
 
@@ -85,7 +84,7 @@ def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: boo
         "float32" if unit.precision == "bfloat16" and device == "cpu" and not _has_bfloat16() else unit.precision
     )
     origin = {"rounding": 1, **record.header["provenance"], "precision": unit.precision}
-    with _threads(origin.get("threads", 1)):
+    with threads(origin.get("threads", 1)):
         process = unit.start(unit.config, unit.seeds, device=device, precision=precision)
         spent = _advance(process, seconds, unit.label, progress)
     here = {**records.provenance(device), "rounding": rounding(process), "precision": precision}
@@ -108,14 +107,6 @@ def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: boo
 def _has_bfloat16() -> bool:
     """Return whether the CPU may have instructions for bfloat16: without AVX-512 and AMX there are none."""
     return torch.backends.cpu.get_cpu_capability() not in ("DEFAULT", "AVX2")
-
-
-@contextlib.contextmanager
-def _threads(count: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    yield
-    torch.set_num_threads(before)
 
 
 def _advance(process: Process, seconds: float, label: str, progress: bool) -> float:

@@ -10,9 +10,8 @@ A record's arrays are what the timed work computed, which is a function of confi
 machine and stand in the provenance.
 """
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -30,6 +29,7 @@ from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import Sq
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.pilco.learner import PILCO_PAPER, PilcoConfig
 from dropout_uncertainty.rng import check_seeds, generator
+from dropout_uncertainty.runs.process import threads
 
 __all__ = ["AXES", "METHODS", "Scaling", "ScalingConfig"]
 
@@ -87,7 +87,7 @@ class Scaling:
     def advance(self) -> str:
         """Take the times at one point."""
         method, _, (n, q, d) = self.points[self.done]
-        with _one_thread():
+        with threads(1):
             for row, seed in enumerate(self.seeds):
                 works = self._pilco(seed, n, q, d) if method == "pilco" else self._deep(method, seed, n, q, d)
                 for name, (work, times) in zip(("fit", "policy"), works, strict=True):
@@ -200,13 +200,3 @@ def timed(work: Callable[[], float]) -> tuple[float, float]:
         work()
         times.append(time.process_time() - begun)
     return min(times), value
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
