@@ -172,12 +172,12 @@ def test_without_records_nothing_but_what_the_repository_shows_is_judged(tmp_pat
 #: What the published records say where prose was written for it. Where this changes, read the prose again.
 PINNED = {
     "AL1b": "differs", "AL3a": "inconclusive", "AL3f": "no difference", "AL3g": "inconclusive", "AL4a": "supported",
-    "AL4b": "contradicted", "AL6a": "contradicted", "AL7a": "confirmed", "AL8a": "confirmed",
+    "AL4b": "contradicted", "AL5d": "supported", "AL6a": "contradicted", "AL7a": "confirmed", "AL8a": "confirmed",
     "EX1b": "contradicted", "EX2c": "differs", "EX2d": "supported", "EX3a": "supported", "EX3b": "no difference",
     "EX3e": "refuted", "EX4": "refuted", "EX6c": "contradicted",
-    "DE1a": "supported", "DE2d": "supported", "DE3h": "contradicted", "DE6a": "supported", "DE6b": "supported",
-    "DE6c": "no difference", "DE7b": "supported", "DE11a": "contradicted", "DE11b": "no difference",
-    "DE12": "confirmed",
+    "DE1a": "supported", "DE2d": "supported", "DE3h": "contradicted", "DE4b": "supported", "DE6a": "supported",
+    "DE6b": "supported", "DE6c": "no difference", "DE7b": "supported", "DE11a": "contradicted",
+    "DE11b": "no difference", "DE12": "confirmed",
 }  # fmt: skip
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropout_uncertainty.exploration.report import answers
+from dropout_uncertainty.exploration.report import analysis, answers
+from dropout_uncertainty.exploration.report.deep_sea import dives
 from dropout_uncertainty.exploration.report.deep_sea.dives import Dives
 from dropout_uncertainty.exploration.report.statements import STATEMENTS
 from dropout_uncertainty.judging.statements import KINDS, Judged, Measured
@@ -122,3 +123,23 @@ PINNED = {
 def test_published_verdicts_are_what_the_page_was_written_for():
     found = answers.judged()
     assert {name: found[name].verdict for name in PINNED} == PINNED
+
+
+def test_published_seas_are_what_the_page_was_written_for():
+    found = {agent: dive for (agent, size), dive in dives.load().items() if size == 10}
+    assert {name: found[name].within().sum() for name in ("ensemble", "ensemble-priors")} == {
+        "ensemble": 40, "ensemble-priors": 40
+    }  # fmt: skip
+    assert "fewer than the" in answers.beside_a_coin(dives.load())
+
+
+def test_published_meals_are_what_the_first_page_of_the_section_was_written_for():
+    shared, own = analysis.load("as-demo"), analysis.load("ours")
+
+    def times(agents, ticks, what):
+        eaten = [agents[name].mean(*ticks, what).mean() for name in ("epsilon-greedy", "thompson")]
+        return eaten[0] / eaten[1]
+
+    assert times(shared, (200_000, 1_000_000), "food") == pytest.approx(2, abs=0.1)
+    assert times(shared, (200_000, 1_000_000), "poison") < 1
+    assert 1 < times(own, analysis.LATE, "food") < 1.3

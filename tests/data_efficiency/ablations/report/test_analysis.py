@@ -267,3 +267,9 @@ def test_matching_by_dimension_is_judged_where_records_hold_it(tmp_path):
         assert [judge([STATEMENTS[name]], tmp_path / verdict)[0].verdict for name in ("DE4e", "DE6d")] == [verdict] * 2
     looked(tmp_path / "old", old=True)
     assert [judge([STATEMENTS[name]], tmp_path / "old")[0].verdict for name in ("DE4e", "DE6d")] == ["untested"] * 2
+
+
+def test_published_variants_are_what_the_page_was_written_for():
+    (raw,) = (found for found in matters.comparisons() if found.name == "raw-inputs")
+    solved = [(learning.first_solved <= 20).sum() for learning in (raw.first, raw.second)]
+    assert solved == [1, 10]
