@@ -145,7 +145,7 @@ def worse_and_better(found: Runs) -> Words:
         f"By trial {trials}, {ours.solved_by(trials).value:.0%} of the {len(ours.seeds)} repetitions of ours had been "
         f"solved. Of {len(found.comparisons)} variants these are **worse** beyond their interval, in success or in "
         f"cost: {listed(lost)}. These are **better**: {listed(won)}. About the others {len(ours.seeds)} repetitions "
-        "do not tell."
+        "do not tell. The intervals are not corrected for their number: about one in twenty leaves out 0 by chance."
     )
 
 
