@@ -36,7 +36,7 @@ __all__ = [
 CLAIM_COLOURS = {"DE4": "#0072B2", "DE5": "#D55E00", "DE6": "#009E73", "DE7": "#882255", "DE10": "#6c6c6c"}
 CLOUD_STYLES = {
     "held-free": ("masks held, no matching", "#0072B2", "-"),
-    "held-matched": ("masks held, matching (algorithm 4)", "#56B4E9", "-"),
+    "held-matched": ("masks held, matching", "#56B4E9", "-"),
     "redrawn-free": ("masks redrawn, no matching", "#D55E00", "--"),
     "redrawn-matched": ("masks redrawn, matching", "#E69F00", "--"),
 }
