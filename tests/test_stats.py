@@ -1,3 +1,4 @@
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -90,8 +91,21 @@ def test_a_crossing_that_is_never_reached_has_a_lower_limit():
 
 
 def test_a_statistic_that_mixes_resamples_is_refused():
-    with pytest.raises(ValueError, match="one number per resample, 2000 in all, got shape \\(\\)"):
+    with pytest.raises(ValueError, match="one number per resample, 35 in all, got shape \\(\\)"):
         stats.bootstrap_interval(lambda i: i.mean(), 4)
+    with pytest.raises(ValueError, match="one number per resample, 5000 in all, got shape \\(\\)"):
+        stats.bootstrap_interval(lambda i: i.mean(), 40)
+
+
+def test_few_repetitions_have_all_their_resamples():
+    first, second = np.array([0.0, 1, 3]), np.array([0.0, 10])
+    (i, j), weights = stats._resamples(3, 2)
+    assert weights.sum() == pytest.approx(1)
+    every = [first[list(a)].mean() - second[list(b)].mean()
+             for a in itertools.product(range(3), repeat=3) for b in itertools.product(range(2), repeat=2)]  # fmt: skip
+    mine = first[i].mean(-1) - second[j].mean(-1)
+    for value in np.unique(np.round(every, 9)):
+        assert weights[np.isclose(mine, value)].sum() == pytest.approx(np.isclose(every, value).mean())
 
 
 def test_an_interval_in_words_has_the_limits_that_there_are():
@@ -166,3 +180,12 @@ def test_intervals_cover_what_they_promise(n):
     )
     assert student >= 0.92
     assert boot >= 0.92
+
+
+def test_intervals_of_two_samples_cover_what_they_promise():
+    """As above; the second sample is as small as the original program's."""
+    generator = np.random.default_rng(1)
+    pairs = [(generator.normal(size=6), generator.normal(size=3)) for _ in range(200)]
+    found = [stats.bootstrap_estimate(lambda i, j, a=a, b=b: a[i].mean(-1) - b[j].mean(-1), 6, 3) for a, b in pairs]
+    assert np.mean([e.low <= 0 <= e.high for e in found]) >= 0.92
+    assert all(np.isnan(e.p) for e in found), "three repetitions cannot show a small p"

@@ -4,15 +4,17 @@ An `Interval` describes; an `Estimate` carries what a verdict needs (``judging.r
 What is not one number, or not true or false, for each repetition raises ValueError.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy import stats as scipy_stats
+from scipy.special import gammaln
 
 __all__ = [
     "CONFIDENCE", "Estimate", "Interval", "Statistic", "apart", "bootstrap_estimate", "bootstrap_interval", "common",
@@ -22,7 +24,8 @@ __all__ = [
 ]  # fmt: skip
 
 CONFIDENCE = 0.95
-RESAMPLES = 2_000
+#: Resamples of a bootstrap: all that there are, if these are at most so many, else so many drawn at random.
+MOST, RESAMPLES = 10_000, 5_000
 #: Takes indices of repetitions [..., n], one array a sample, and gives [...].
 Statistic = Callable[..., Any]
 
@@ -139,7 +142,7 @@ def share_estimate(flags: Sequence[bool] | np.ndarray, claimed: float) -> Estima
 def difference_of_shares(first: Sequence[bool] | np.ndarray, second: Sequence[bool] | np.ndarray) -> Estimate:
     """Return share(first) - share(second) of two samples, with Newcombe's intervals from Wilson's (1998, method 10).
 
-    The p-value is that of Fisher's exact test.
+    The p-value is that of Fisher's exact test. Of samples that share their seeds this is the more careful answer.
     """
     first, second = _flags(first), _flags(second)
     n = min(len(first), len(second))
@@ -164,7 +167,7 @@ def bootstrap_estimate(statistic: Statistic, *sizes: int, most: Statistic | None
     The statistic is as in ``bootstrap_interval``, with indices for each sample. Samples are resampled independently; a
     paired statistic has one. Plain percentiles are too narrow for few repetitions: the levels are widened as Student's
     t widens those of a normal mean, for the smallest sample (Hesterberg, 2015). The p-value is the level at which the
-    interval first touches 0.
+    interval first touches 0; it is NaN where a sample has fewer than five repetitions, since no resample shows that.
 
     A crossing that runs never reach is censored: it lies beyond their end, nobody knows where. Then the statistic is
     the least that the quantity can be, ``most`` the most, often infinite. Lower ends of the intervals come from the
@@ -176,43 +179,59 @@ def bootstrap_estimate(statistic: Statistic, *sizes: int, most: Statistic | None
         return _unknown(value, n)
     least_draws = _draws(statistic, sizes)
     most_draws = least_draws if most is None else _draws(most, sizes)
+    _, weights = _resamples(*sizes)
     low, high, low90, high90 = (
-        float(np.quantile(draws, _expanded(level, n), method="inverted_cdf"))
+        _quantile(draws, weights, level, n)
         for draws, level in ((least_draws, 0.025), (most_draws, 0.975), (least_draws, 0.05), (most_draws, 0.95))
     )
     if np.isnan(least_draws).any() or np.isnan(most_draws).any():
         return _unknown(value, n)
-    tail = max(min(np.mean(least_draws <= 0), np.mean(most_draws >= 0)), 0.5 / RESAMPLES)
+    tail = max(min(weights[least_draws <= 0].sum(), weights[most_draws >= 0].sum()), weights.min() / 2)
     p = 2 * scipy_stats.t.cdf(scipy_stats.norm.ppf(tail) * ((n - 1) / n) ** 0.5, n - 1)
-    return Estimate(value, low, high, low90, high90, min(1.0, float(p)), n)
+    return Estimate(value, low, high, low90, high90, min(1.0, float(p)) if n >= 5 else np.nan, n)
 
 
 @cache
-def _resamples(*sizes: int) -> tuple[np.ndarray, ...]:
-    """Return the indices [RESAMPLES, n] of the repetitions that each resample takes, for each of the sizes."""
-    generator = np.random.default_rng(0)
-    resamples: tuple[np.ndarray, ...]
-    if len(sizes) == 1:  # the same numbers as one by one
-        resamples = (generator.integers(sizes[0], size=(RESAMPLES, sizes[0])),)
+def _resamples(*sizes: int) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, " B"]]:
+    """Return the indices [B, n] that each resample takes of samples of these sizes, and the resamples' weights."""
+    if math.prod(math.comb(2 * n - 1, n) for n in sizes) <= MOST:
+        every = [_every_resample(n) for n in sizes]
+        places = np.meshgrid(*(np.arange(len(weights)) for _, weights in every), indexing="ij")
+        chosen = [place.ravel() for place in places]
+        resamples = tuple(indices[place] for (indices, _), place in zip(every, chosen, strict=True))
+        weights = np.prod([weights[place] for (_, weights), place in zip(every, chosen, strict=True)], axis=0)
     else:
-        drawn = [[generator.integers(size, size=size) for size in sizes] for _ in range(RESAMPLES)]
-        resamples = tuple(np.stack(indices) for indices in zip(*drawn, strict=True))
-    for indices in resamples:
-        indices.flags.writeable = False
-    return resamples
+        generator = np.random.default_rng(0)
+        resamples = tuple(generator.integers(n, size=(RESAMPLES, n)) for n in sizes)
+        weights = np.full(RESAMPLES, 1 / RESAMPLES)
+    for array in (*resamples, weights):
+        array.flags.writeable = False
+    return resamples, weights
+
+
+def _every_resample(n: int) -> tuple[Int[np.ndarray, "B n"], Float[np.ndarray, " B"]]:
+    """Return all resamples of n repetitions, whatever their order, and the probability of each."""
+    indices = np.array(list(itertools.combinations_with_replacement(range(n), n)))
+    counts = (indices[:, None] == np.arange(n)[:, None]).sum(-1)
+    return indices, np.exp(math.lgamma(n + 1) - gammaln(counts + 1).sum(-1) - n * math.log(n))
 
 
 def _draws(statistic: Statistic, sizes: Sequence[int]) -> np.ndarray:
-    """Return the statistic [RESAMPLES] of every resample."""
-    draws = np.asarray(statistic(*_resamples(*sizes)), float)
-    if draws.shape != (RESAMPLES,):
-        raise ValueError(f"a statistic gives one number per resample, {RESAMPLES} in all, got shape {draws.shape}")
+    """Return the statistic [B] of every resample."""
+    resamples, weights = _resamples(*sizes)
+    draws = np.asarray(statistic(*resamples), float)
+    if draws.shape != weights.shape:
+        raise ValueError(f"a statistic gives one number per resample, {len(weights)} in all, got shape {draws.shape}")
     return draws
 
 
-def _expanded(level: float, n: int) -> float:
-    """Return the level of the bootstrap distribution that stands for ``level`` at n repetitions."""
-    return float(scipy_stats.norm.cdf((n / (n - 1)) ** 0.5 * scipy_stats.t.ppf(level, n - 1)))
+def _quantile(draws: np.ndarray, weights: np.ndarray, level: float, n: int) -> float:
+    """Return the quantile that stands for ``level`` at n repetitions.
+
+    "Not reached" is infinite: without interpolation a quantile never averages it with a number.
+    """
+    level = scipy_stats.norm.cdf((n / (n - 1)) ** 0.5 * scipy_stats.t.ppf(level, n - 1))
+    return float(np.quantile(draws, level, weights=weights, method="inverted_cdf"))
 
 
 def t_interval(values: Sequence[float] | np.ndarray) -> Interval:
@@ -246,7 +265,7 @@ def paired_difference(first: Sequence[float] | np.ndarray, second: Sequence[floa
 
 
 def bootstrap_interval(statistic: Statistic, n: int) -> Interval:
-    """Return ``statistic(indices)`` at all n repetitions, with its percentile bootstrap interval.
+    """Return ``statistic(indices)`` at all n repetitions, with its interval by expanded percentiles.
 
     The statistic receives indices of repetitions, so it can be anything computed from whole runs: the crossing of a
     mean curve, a ratio. It may be infinite ("not reached"). It takes many sets of indices at once, [..., n], and gives
@@ -258,10 +277,9 @@ def bootstrap_interval(statistic: Statistic, n: int) -> Interval:
     value = float(statistic(np.arange(n))) if n else np.nan
     if n < 2 or np.isnan(value):
         return Interval(value, np.nan, np.nan, n)
-    draws = _draws(statistic, (n,))
-    # "Not reached" is infinite: quantiles without interpolation never average it with a number.
-    low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], method="inverted_cdf")
-    return Interval(value, float(low), float(high), n)
+    draws, (_, weights) = _draws(statistic, (n,)), _resamples(n)
+    low, high = (_quantile(draws, weights, level, n) for level in ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2))
+    return Interval(value, low, high, n)
 
 
 def first_crossings(curves: np.ndarray, threshold: float, *, above: bool = False) -> np.ndarray:

@@ -175,7 +175,7 @@ PINNED = {
     "AL4b": "contradicted", "AL5d": "supported", "AL6a": "contradicted", "AL7a": "confirmed", "AL8a": "confirmed",
     "EX1b": "contradicted", "EX2c": "differs", "EX2d": "supported", "EX3a": "supported", "EX3b": "no difference",
     "EX3e": "refuted", "EX4": "refuted", "EX6c": "contradicted",
-    "DE1a": "supported", "DE2d": "supported", "DE3h": "contradicted", "DE4b": "supported", "DE6a": "supported",
+    "DE1a": "supported", "DE2d": "supported", "DE3h": "inconclusive", "DE4b": "supported", "DE6a": "supported",
     "DE6b": "supported", "DE6c": "no difference", "DE7b": "supported", "DE11a": "contradicted",
     "DE11b": "no difference", "DE12": "confirmed",
 }  # fmt: skip

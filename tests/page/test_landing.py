@@ -57,7 +57,7 @@ def test_the_tally_counts_statements_by_kind(results):
 HEADLINES = {
     "AL3f": "no difference", "AL3g": "inconclusive", "AL7a": "confirmed", "AL7b": "confirmed", "AL8a": "confirmed",
     "EX3a": "supported", "EX3c": "contradicted", "EX3e": "refuted", "EX4": "refuted", "EX7e": "supported",
-    "EX7f": "contradicted", "DE2d": "supported", "DE3h": "contradicted", "DE6b": "supported", "DE6c": "no difference",
+    "EX7f": "contradicted", "DE2d": "supported", "DE3h": "inconclusive", "DE6b": "supported", "DE6c": "no difference",
     "DE7a": "supported", "DE7b": "supported", "DE7c": "supported", "DE11a": "contradicted",
 }  # fmt: skip
 
@@ -148,7 +148,7 @@ ADVICE = {
     "AL11c": "inconclusive", "AL11i": "untested", "AL11l": "untested", "AL11m": "supported",
     "EX2d": "supported", "EX5a": "supported", "EX5b": "supported", "EX6c": "contradicted", "EX7a": "inconclusive",
     "EX7b": "contradicted", "EX7f": "contradicted", "EX9": "contradicted", "DE1a": "supported", "DE2d": "supported",
-    "DE2g": "supported", "DE3h": "contradicted", "DE4a": "inconclusive", "DE4d": "no difference", "DE5b": "supported",
+    "DE2g": "supported", "DE3h": "inconclusive", "DE4a": "inconclusive", "DE4d": "no difference", "DE5b": "supported",
     "DE5d": "supported", "DE6b": "supported", "DE6c": "no difference", "DE7a": "supported", "DE7b": "supported",
     "DE7c": "supported", "DE8a": "differs", "DE8d": "agrees", "DE9a": "supported", "DE9b": "supported",
     "DE13": "supported", "DE13b": "inconclusive", "DE13e": "supported", "DE13f": "inconclusive", "DE14a": "supported",

@@ -83,7 +83,10 @@ def crossing_at_least(curves: Float[np.ndarray, "R T"]) -> Statistic:
 
 
 def cell(name: str, table: str, folder: Path | None) -> Measured:
-    """Return a cell of Table 5.1 or 5.2: our statistic less that of the original program's curves, both resampled."""
+    """Return a cell of Table 5.1 or 5.2: our statistic less that of the original program's curves, both resampled.
+
+    The estimate counts our repetitions; the original program has three.
+    """
     row = needed(load_rows("ours", folder).get(name))
     if len(row.error) < 3:
         raise NotRun

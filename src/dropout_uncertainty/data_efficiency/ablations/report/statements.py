@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -37,7 +38,7 @@ from dropout_uncertainty.judging.statements import (
     on_average,
     shifted,
 )
-from dropout_uncertainty.stats import bootstrap_estimate
+from dropout_uncertainty.stats import bootstrap_estimate, t_interval
 
 __all__ = ["SENSITIVITY", "STATEMENTS"]
 
@@ -45,6 +46,8 @@ CHAPTER = "5_4_what_matters"
 stated = partial(Statement, chapter=CHAPTER)
 #: Margin of exponents.
 MARGIN_EXPONENT = 0.25
+#: Seeds of DE4a up to here had been run when the rules of version 2 were written.
+OLD_PAIRS = 10
 
 
 def dearer(first: str, second: str | None, folder: Path | None, *, sign: int = 1) -> Measured:
@@ -54,8 +57,13 @@ def dearer(first: str, second: str | None, folder: Path | None, *, sign: int = 1
     return on_average(sign * difference, pair.first.records + pair.second.records)
 
 
-#: The cost of learning of `OURS` less that without moment matching.
-matching = partial(dearer, "matching-off", None, sign=-1)
+def matching(folder: Path | None) -> Measured:
+    """Return the cost of learning of `OURS` less that without moment matching; ten pairs are older than the rules."""
+    found, pair = dearer("matching-off", None, folder, sign=-1), needed(compare("matching-off", folder))
+    costs = cost_of_learning(pair.second) - cost_of_learning(pair.first)
+    old = np.array(pair.first.seeds) < OLD_PAIRS
+    beside = {"the ten pairs from before the rules": costs[old], "those made after": costs[~old]}
+    return replace(found, beside={words: t_interval(some) for words, some in beside.items() if len(some)})
 
 
 def seen(quantity: Callable[[Inside], np.ndarray], folder: Path | None, needs: str = "penalty") -> Measured:
@@ -128,14 +136,14 @@ CHANGED = {"half": "halved", "twice": "doubled", "third": "cut to a third"}
 CHANGES = [(words, name) for words, names in SENSITIVITY.items() for name in names]
 
 STATEMENTS: list[Statement] = [
-    stated("DE4a", "Moment matching, of all dimensions together, makes learning cheaper.", CRUCIAL, "less", MARGIN_COST,
-           matching, unit="cost per step", primary=True),
+    stated("DE4a", "Moment matching, of all dimensions together, makes trials 1 to 20 cheaper.", CRUCIAL, "less",
+           MARGIN_COST, matching, unit="cost per step", primary=True),
     stated("DE4b", "It penalises predictions that part: there a Gaussian adds more to the cost (rank correlation).",
            CRUCIAL, "more", MARGIN_SHARE, partial(seen, lambda x: x.penalty_correlation())),
     stated("DE4c", "It smooths the gradient: without it the gradient varies more over draws (log of variances).",
            CRUCIAL, "more", MARGIN_LOG, partial(seen, lambda x: x.log_gradient_ratio("off", "full"))),
-    stated("DE4d", "Matching of each dimension by itself, as in Algorithm 4, makes learning cheaper.", CRUCIAL, "less",
-           MARGIN_COST, partial(dearer, "matching-diagonal", "matching-off"), unit="cost per step"),
+    stated("DE4d", "Matching of each dimension by itself, as in Algorithm 4, makes trials 1 to 20 cheaper.", CRUCIAL,
+           "less", MARGIN_COST, partial(dearer, "matching-diagonal", "matching-off"), unit="cost per step"),
     stated("DE4e", "Matching of each dimension by itself penalises predictions that part.", CRUCIAL, "more",
            MARGIN_SHARE, partial(seen, lambda x: x.penalty_correlation("penalty_diagonal"), needs="penalty_diagonal"),
            would_test="the cost that a Gaussian of each dimension adds; that of a full one was measured"),
@@ -153,8 +161,8 @@ STATEMENTS: list[Statement] = [
            would_test="particles through PILCO's model, fixed with BFGS and fresh with Adam"),
     stated("DE5d", "A search on fixed particles promises less cost than fresh ones have.", FRESH, "more", MARGIN_COST,
            partial(seen, lambda x: x.optimism("fixed-bfgs")), unit="cost per step"),
-    stated("DE6a", "PILCO's predictions are too sure: true states leave two standard deviations too often.", HELD,
-           "less", MARGIN_SHARE, coverage, unit="share", thesis=round(NOMINAL, 3)),
+    stated("DE6a", "PILCO's predictions are too sure: in trials 1, 2, 5 and 10 true states leave two standard "
+           "deviations too often.", HELD, "less", MARGIN_SHARE, coverage, unit="share", thesis=round(NOMINAL, 3)),
     stated("DE6b", "Free particles spread more with masks held than redrawn (log of standard deviations).", HELD,
            "more", MARGIN_LOG, partial(seen, lambda x: x.log_std_ratio("held-free", "redrawn-free"))),
     stated("DE6c", "Matched ones, all dimensions together, spread more with masks held than redrawn.", HELD, "more",
@@ -175,7 +183,7 @@ STATEMENTS: list[Statement] = [
     stated("DE8h", "Deep PILCO's time grows linearly with the number of trials.", "Section 5.4", "value",
            MARGIN_EXPONENT, partial(exponent, "deep-pilco-diagonal", "transitions", 1.0), unit="exponent", thesis=1.0),
     *(
-        stated(f"DE10{letter}", f"Deep PILCO's learning costs the same with the {words} "
+        stated(f"DE10{letter}", f"Trials 1 to 20 of Deep PILCO cost the same with the {words} "
                f"{CHANGED[name.rpartition('-')[2]]}.", "Section 5.4.2",
                "equality", MARGIN_COST, partial(dearer, name, None), unit="cost per step")
         for letter, (words, name) in zip("abcdefghi", CHANGES, strict=True)

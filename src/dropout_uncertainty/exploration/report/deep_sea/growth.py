@@ -51,7 +51,11 @@ def censored_slopes(
     there are fewer than three of them, or points of one x only.
     """
     x = x - x.mean()
-    weights = np.apply_along_axis(np.bincount, -1, indices, minlength=len(x)).astype(float)
+    places = indices.reshape(-1, indices.shape[-1])
+    places = places + len(x) * np.arange(len(places))[:, None]  # all resamples are counted at once
+    weights = (
+        np.bincount(places.ravel(), minlength=places.shape[0] * len(x)).reshape(*indices.shape[:-1], -1).astype(float)
+    )
     drawn = weights > 0
     known = drawn & exact
     smallest = np.where(drawn, x, np.inf).min(-1)
