@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 
 from dropout_uncertainty.judging.statements import Measured, Statement, judge
 from dropout_uncertainty.page import book, scoreboard
+from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import Estimate
 
@@ -118,6 +119,14 @@ def test_how_long_says_what_was_measured_and_what_was_not():
     assert [row[3] for row in scoreboard.how_long({}, names, FOUND)[1]] == [None, "1.1 core-hours"]
     gpu = record("ours/a", [0], 1.0, device="cuda", wall_s=7200.0)
     assert scoreboard.how_long(times, ["5_2_active_learning"], [gpu])[1][0][3:] == [None, "2.0 h"]
+
+
+def test_every_family_of_records_belongs_to_a_notebook_that_there_is():
+    found = records.find("active_learning") + records.find("data_efficiency") + records.find("exploration")
+    shown = {row[0].split("]")[0][1:] for row in scoreboard.how_long({}, book.notebooks(), found)[1] if row[3]}
+    families = {record.header["name"].split("/")[0].replace("-", "_") for record in found}
+    assert set(scoreboard.SHOWN.values()) <= shown
+    assert {scoreboard.SHOWN[family] for family in families & set(scoreboard.SHOWN)} == set(scoreboard.SHOWN.values())
 
 
 def test_the_scoreboard_runs_last():

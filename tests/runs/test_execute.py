@@ -157,7 +157,7 @@ def test_a_damaged_checkpoint_means_starting_again(tmp_path, checkpoint):
     assert resumed.header["payload"] == execute.run_unit(toy.unit(), tmp_path / "other").header["payload"]
 
 
-@pytest.mark.parametrize("content", [{"state": {"finished": 3}}, {"other": 1}])
+@pytest.mark.parametrize("content", [{"state": {"finished": 3}}, {"other": 1}, {"state": np.float64(3.0)}])
 def test_a_checkpoint_of_another_version_is_kept_and_named(tmp_path, checkpoint, content):
     checkpoints.save(checkpoint, content)
     before = checkpoint.read_bytes()

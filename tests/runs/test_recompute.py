@@ -91,6 +91,15 @@ def test_a_change_of_the_code_that_rounds_otherwise_is_forgiven_too(record, monk
 
 
 @pytest.mark.skipif(execute.torch.cuda.is_available(), reason="there is a GPU")
+def test_sittings_with_other_numbers_of_threads_round_otherwise(record):
+    path = record.arrays["path"] + 1e-12
+    sittings = [{**record.header["provenance"]["commits"][0], "threads": threads} for threads in (2, 1)]
+    found = recompute(toy.unit(), changed(record, path, commits=sittings), progress=False)
+    assert "threads 1 and 2 there" in found.elsewhere
+    assert not found.problems
+    assert recompute(toy.unit(), changed(record, path, commits=sittings[:1]), progress=False).problems
+
+
 def test_without_a_gpu_the_record_of_one_is_recomputed_on_the_cpu(record):
     unit = replace(toy.unit(), device="cuda")
     made = {**record.header, **unit.identity}

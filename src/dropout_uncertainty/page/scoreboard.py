@@ -274,20 +274,31 @@ def run_times(times: Mapping[str, Mapping[str, Mapping[str, Any]]], names: Seque
     return heads, rows
 
 
+#: The notebooks that show families of configs, where the names do not say it.
+SHOWN = {
+    **dict.fromkeys(("pools", "pools_sensitivity"), "5_2_when_draws_help"),
+    **dict.fromkeys(("two_by_two", "deep_sea"), "5_3_is_it_exploration"),
+    **dict.fromkeys(("doubt", "literal", "mchutchon", "shrinking", "gradients"), "5_4_what_doubt_is_worth"),
+    **dict.fromkeys(("ddpg", "naf", "ddpg_search", "naf_search", "ends"), "5_4_without_a_model"),
+    "hidden": "5_4_hidden_state",
+}
+
+
 def how_long(
     times: Mapping[str, Mapping[str, Mapping[str, Any]]], names: Sequence[str], found: Sequence[Record]
 ) -> Cells:
     """Return what a reader has to wait for each notebook, by profile, from ``book.times()`` and the stored records.
 
     The records of a notebook stand for profile ``full``: core-hours of all that are stored, and hours of a GPU. They
-    are those whose experiment, or family of configs, has the name of the notebook after its numbers.
+    are those of the families of configs in ``SHOWN``, else those whose family or experiment has its name.
     """
     heads = ["notebook", "`recorded`", "`quick`", "`full`: CPU", "`full`: GPU"]
     plain = {name.lstrip("0123456789_"): name for name in names}
     of: dict[str | None, list[Record]] = {}
     for record in found:
         family = record.header["name"].split("/")[0].replace("-", "_")
-        of.setdefault(plain.get(family, plain.get(record.header["experiment"])), []).append(record)
+        shown = SHOWN.get(family, plain.get(family, plain.get(record.header["experiment"])))
+        of.setdefault(shown, []).append(record)
     rows = []
     for name in names:
         own = of.get(name, [])

@@ -143,9 +143,9 @@ def _details(records: Sequence[Record]) -> str:
 
 
 def _commit(origin: dict[str, Any]) -> str:
-    if origin["commit"] is None:
-        return "unknown"
-    return origin["commit"][:8] + (" with changes" if origin["dirty"] else "")
+    commits = [sitting["commit"] for sitting in origin.get("commits", [origin])]
+    named = " and ".join(dict.fromkeys(commit[:8] if commit else "unknown" for commit in commits))
+    return named + (" with changes" if origin["dirty"] else "")
 
 
 def _ranges(numbers: Sequence[int]) -> str:

@@ -9,9 +9,13 @@ from typing import Any
 
 import torch
 
-__all__ = ["load", "save"]
+__all__ = ["OtherVersion", "load", "save"]
 
 LENGTH = hashlib.sha256().digest_size
+
+
+class OtherVersion(ValueError):
+    """A checkpoint is intact, but not of this version."""
 
 
 def save(path: Path, content: dict[str, Any]) -> None:
@@ -30,7 +34,8 @@ def load(path: Path) -> dict[str, Any]:
     """Return the content of a checkpoint.
 
     Raises:
-        ValueError: if it is damaged, or was written by a version that kept other types in it.
+        ValueError: if it is damaged.
+        OtherVersion: if it was written by a version that kept other types in it.
     """
     stored = path.read_bytes()
     if hashlib.sha256(stored[LENGTH:]).digest() != stored[:LENGTH]:
@@ -38,4 +43,4 @@ def load(path: Path) -> dict[str, Any]:
     try:
         return torch.load(io.BytesIO(stored[LENGTH:]), weights_only=True)
     except pickle.UnpicklingError:
-        raise ValueError(f"{path} is of a version that kept other things in it") from None
+        raise OtherVersion(f"the checkpoint {path} is of a version that kept other things in it") from None

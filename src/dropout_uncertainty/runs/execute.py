@@ -28,7 +28,7 @@ __all__ = ["OutOfTime", "run", "run_unit"]
 #: Seconds between checkpoints; a kill loses at most this much work and the step under way.
 CHECKPOINT_SECONDS = 20.0
 #: What the provenance says of the code of each sitting.
-CODE = ("commit", "dirty", "python", "torch", "numpy", "scipy")
+CODE = ("commit", "dirty", "python", "torch", "numpy", "scipy", "threads")
 
 
 class OutOfTime(RunError):
@@ -159,14 +159,10 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool, until: flo
         while process.done < process.total:
             if _unwanted():
                 raise CancelledError
-            with _own_errors(unit), _timed(clock):
-                status = process.advance()
-            bar.set_postfix_str(status, refresh=False)
-            bar.update()
             begin = time.monotonic()
             late = until is not None and time.time() > until
             # A large state is saved less often, so that saving takes a thirtieth of the time at most.
-            if (late or begin - last > max(CHECKPOINT_SECONDS, 30 * saving)) and process.done < process.total:
+            if late or begin - last > max(CHECKPOINT_SECONDS, 30 * saving):
                 content = {"state": process.state(), "clock": clock, "commits": commits, "parents": parents}
                 checkpoints.save(partial, content)
                 readable = readable or _readable(partial)
@@ -174,6 +170,10 @@ def _compute(unit: Unit, folder: Path, partial: Path, progress: bool, until: flo
                 saving = last - begin
                 if late:
                     raise OutOfTime(f"no time was left in {unit.label} after {process.done} of {process.total} steps")
+            with _own_errors(unit), _timed(clock):
+                status = process.advance()
+            bar.set_postfix_str(status, refresh=False)
+            bar.update()
     timings: dict[str, Any] = getattr(process, "timings", dict)()
     # ``commit`` is that of the last sitting, ``commits`` what each sitting ran under
     origin = {**where, **clock, **timings, "commits": commits, "dirty": _any_dirty(commits)}
@@ -254,7 +254,11 @@ def _load(path: Path) -> dict[str, Any] | None:
     """Return the checkpoint at ``path``; None (start again) if there is none or, which is said, it is damaged."""
     if not path.exists():
         return None
-    with contextlib.suppress(ValueError):
+    try:
         return checkpoints.load(path)
+    except checkpoints.OtherVersion as error:
+        raise RunError(f"{error}: go on with that version, or delete it to start this unit again") from None
+    except ValueError:
+        pass
     tqdm.write(f"the checkpoint {path.name} cannot be read: starting this unit again")
     return None

@@ -6,8 +6,9 @@ without such an axis, final weights for instance, are compared when the whole un
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -99,7 +100,7 @@ def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: boo
         seconds=spent,
         arrays=list(pairs),
         unequal=[phrase for name, pair in pairs.items() if (phrase := _unequal(name, *pair))],
-        elsewhere=[phrase for key in SAME if (phrase := _changed(key, origin.get(key), here[key]))],
+        elsewhere=[phrase for key in SAME if (phrase := _changed(key, origin.get(key), here[key]))] + _mixed(origin),
         far=[phrase for name, pair in pairs.items() if (phrase := _far(name, *pair))],
     )
 
@@ -162,6 +163,12 @@ def _far(name: str, recorded: np.ndarray, again: np.ndarray) -> str | None:
     if abs(differences.mean()) <= allowed:
         return None
     return f"{name} is {differences.mean():+.3g} off on average, {allowed:.3g} is allowed"
+
+
+def _mixed(origin: Mapping[str, Any]) -> list[str]:
+    """Return that a record's sittings had different numbers of threads, if they had: sums round otherwise."""
+    threads = {sitting["threads"] for sitting in origin.get("commits", ()) if sitting.get("threads")}
+    return [f"threads {' and '.join(map(str, sorted(threads)))} there"] if len(threads) > 1 else []
 
 
 def _changed(key: str, recorded: str | int | None, here: str | int) -> str | None:

@@ -36,7 +36,7 @@ def test_trials_that_are_not_stored_are_said_to_be_missing(tmp_path, monkeypatch
     with pytest.raises(UserError, match="the records of doubt/ensemble keep none"):
         stored_trials("doubt/ensemble", (0,))
     monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(tmp_path))
-    with pytest.raises(UserError, match="run data_efficiency/deep-pilco-ours makes them"):
+    with pytest.raises(UserError, match="run data_efficiency --config deep-pilco-ours --seeds 0-19 makes them"):
         stored_trials("deep-pilco-ours", (0,))
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.experiment import CONFIGS
-from dropout_uncertainty.exploration.report import analysis, figures
+from dropout_uncertainty.exploration.report import analysis, chapter, figures
 from dropout_uncertainty.judging.collect import STATEMENTS
 from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.runs import records
@@ -16,6 +16,7 @@ from dropout_uncertainty.settings import config_dict, config_hash
 from dropout_uncertainty.stats import median_interval
 
 RUNS = 10
+TWO = ("thompson", "epsilon-greedy")
 #: Configs with a level that the reward approaches and the tick at which it has come two thirds of the way, per agent:
 #: such that all claims hold.
 HOLDING = {
@@ -259,3 +260,12 @@ def test_two_agents_of_one_policy_are_refused():
     twice = replace(config, agents=(config.agents[0], replace(config.agents[0], drop=(0.0, 0.1, 0.0))))
     with pytest.raises(ValueError, match=r"different policies, got \['thompson', 'thompson'\]"):
         analysis.from_arrays("mine", twice, {}, (100,))
+
+
+def test_where_neither_agent_arrives_no_ratio_is_given():
+    low = np.full((5, 30), 0.5)
+    never = {name: analysis.Curves(name, "mine", low, (100, 101, 102, 103, 104), {}) for name in TWO}
+    rising = np.minimum(low + 0.02 * np.arange(30), 1.1)
+    arrives = {name: replace(curves, average=rising) for name, curves in never.items()}
+    said = chapter.advantage("recorded", one_world=never, separate_worlds=arrives).markdown
+    assert "takes no known time (neither arrives) in one world and **1.0 [1.0, 1.0]** times as long in separate" in said

@@ -1,6 +1,6 @@
 """What the notebooks of section 5.2 ask for in one call: the runs of a profile, what stored ones say in words."""
 
-from dropout_uncertainty.active_learning.experiment import CONFIGS, ROWS, units
+from dropout_uncertainty.active_learning.experiment import CONFIGS, POOL_ROWS, ROWS, units
 from dropout_uncertainty.active_learning.report import analysis, peaks
 from dropout_uncertainty.active_learning.report import pools as report
 from dropout_uncertainty.active_learning.report.analysis import Row
@@ -8,11 +8,26 @@ from dropout_uncertainty.active_learning.report.statements import STATEMENTS
 from dropout_uncertainty.page.profiles import computed
 from dropout_uncertainty.page.tables import Words
 
+#: The rows of statement AL5b, which is a primary one and waits for twenty repetitions.
+PRIMARY = ("random", "dropout/variation-ratios")
+#: Those on pools that have twenty repetitions; the others have ten.
+TWENTY = {
+    f"pools/{kind}/{row}"
+    for kind, count in (("ambiguous", 4), ("clean", 3))
+    for row in ("random", *POOL_ROWS[kind][:count])
+}
+
 
 def rows(profile: str) -> dict[str, Row]:
     """Return the rows of Tables 5.1 and 5.2, and others on the same pool; in ``quick`` short runs, checked."""
     quick = [unit for row in ROWS for unit in units(f"quick/{row}", [100])]
-    full = [unit for seed in range(5) for row in ROWS for unit in units(f"ours/{row}", [seed])]
+    full = [
+        unit
+        for seed in range(20)
+        for row in ROWS
+        if seed < 10 or row in PRIMARY
+        for unit in units(f"ours/{row}", [seed])
+    ]
     with computed(profile, quick, full) as folder:
         if folder is None:
             return analysis.load_rows("ours")
@@ -40,7 +55,7 @@ def pools(profile: str) -> dict[str, dict[str, Row]]:
     """Return the rows of each kind of pool; in ``quick`` short runs on one kind."""
     quick = [unit for name in CONFIGS if name.startswith("pools-quick/") for unit in units(name, [100])]
     names = [name for name in CONFIGS if name.startswith("pools/")]
-    full = [unit for seed in range(10) for name in names for unit in units(name, [seed])]
+    full = [unit for seed in range(20) for name in names if seed < 10 or name in TWENTY for unit in units(name, [seed])]
     with computed(profile, quick, full) as folder:
         return report.load() if folder is None else report.load("pools-quick", folder, published=False)
 

@@ -60,7 +60,7 @@ def stored_trials(name: str, seeds: Sequence[int]) -> tuple[Float[Tensor, "R N t
     if missing := [seed for seed in wanted if seed not in found]:
         raise UserError(
             f"expected stored trials of {name} for the seeds {missing}, got none in {records.root()}: "
-            f"dropout-uncertainty run {EXPERIMENT}/{name} makes them"
+            f"dropout-uncertainty run {EXPERIMENT} --config {name} --seeds 0-19 makes them"
         )
     rows = [found[seed] for seed in wanted]
     if any("forces" not in record.arrays for record, _ in rows):

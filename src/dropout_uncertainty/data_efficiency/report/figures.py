@@ -236,16 +236,9 @@ def figure_5_7(axes: Sequence[Axes], learnings: Sequence[Learning]) -> None:
         axes[0].text(trials, 1.02, f"{name}\n{trials:g}", transform=axes[0].get_xaxis_transform(), **place)
     cost_curves(axes[0], learnings)
     median_costs(axes[1], learnings)
-    for ax, title, columns in zip(axes, ("repetitions in brackets", "those solved in brackets"), (1, 2), strict=True):
-        if ax.get_legend_handles_labels()[0]:
-            box: dict[str, Any] = {
-                "frameon": True,
-                "edgecolor": "none",
-                "framealpha": 1,
-                "handlelength": 1,
-                "columnspacing": 1,
-            }
-            ax.legend(loc="lower right", title=title, ncols=columns, **box)
+    for ax, title in zip(axes, ("repetitions in brackets", "those solved in brackets"), strict=True):
+        if ax.get_legend_handles_labels()[0]:  # beside the curves, of which it would hide some
+            ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title=title, handlelength=1)
     axes[0].set_xlabel("")
     _seconds(axes[1], learnings[0].plant)
 
@@ -262,7 +255,7 @@ def _seconds(ax: Axes, plant: CartPole) -> None:
 
     axis = ax.secondary_xaxis(-0.32, functions=(seconds, trials))  # type: ignore[arg-type]
     axis.set_xscale("log")
-    shown = [t for t in (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if t <= trial * ax.get_xlim()[1]]
+    shown = [t for t in (5, 20, 50, 100, 200, 1000, 5000) if t <= trial * ax.get_xlim()[1]]
     axis.set_xticks(shown, [f"{t:,}" for t in shown])
     axis.set_xticks([], minor=True)
     axis.set_xlabel(f"seconds of experience, {trial:g} s a trial")

@@ -121,7 +121,8 @@ class Stored(Agents):
         """Raise UserError."""
         raise UserError(
             f"expected stored runs of the agent {name!r} in {records.root()}, got those of {list(self) or 'none'}: "
-            f"git restores records that were deleted, `dropout-uncertainty run {EXPERIMENT}` computes what is missing"
+            f"git restores records that were deleted, `dropout-uncertainty run {EXPERIMENT} --config NAME --seeds 0-9` "
+            "computes what is missing"
         )
 
 
@@ -218,12 +219,12 @@ def paired(*curves: Curves) -> tuple[Curves, ...]:
     return tuple(one.only(mine) for one, mine in zip(curves, places, strict=True))
 
 
-def advantage(agents: Agents, first: str, second: str) -> Interval:
-    """Return how many times as many batches from the burn-in to ``TARGET`` the second agent needs, at the median.
+def advantage(agents: Agents, first: str, second: str, target: float = TARGET) -> Interval:
+    """Return how many times as many batches from the burn-in to a reward the second agent needs, at the median.
 
     Of the seeds that both have; agents of one seed stay together.
     """
-    slow, fast = (batches(curves.crossings()) for curves in paired(agents[second], agents[first]))
+    slow, fast = (batches(curves.crossings(target)) for curves in paired(agents[second], agents[first]))
     return bootstrap_interval(lambda i: ratio(slow[i], fast[i]), len(slow))
 
 

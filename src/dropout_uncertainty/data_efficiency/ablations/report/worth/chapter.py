@@ -82,7 +82,8 @@ class Runs:
 def runs(profile: str) -> Runs:
     """Return the stored runs; in ``quick`` live ones that are much too short to tell anything."""
     families = (doubt, literal, mchutchon, shrinking, gradients)
-    complete(profile, [unit for family in families for name in family.CONFIGS for unit in configs.units(name)])
+    names = ["deep-pilco-as-text", *(name for family in families for name in family.CONFIGS)]
+    complete(profile, [unit for name in names for unit in configs.units(name)])
     if profile == "quick":
         return Runs.of(_live().get, _live_clouds(), _live_estimates())
     return Runs.of(worth.stored(), worth.clouds(), worth.estimates())
