@@ -9,7 +9,7 @@ import torch
 from dropout_uncertainty.bayes import MLP
 
 env, episodes = gymnasium.make(sys.argv[1]), int(sys.argv[2])
-q = MLP((env.observation_space.shape[0], 64, 64, env.action_space.n), (0.0, 0.1, 0.1), seeds=[100])
+q = MLP((env.observation_space.shape[0], 64, 64, int(env.action_space.n)), (0.0, 0.1, 0.1), seeds=[100])
 adam, memory, chance, step = torch.optim.Adam(q.parameters(), 1e-3), [], random.Random(100), 0
 for episode in range(episodes):
     (seen, _), masks, ended, total = env.reset(seed=episode), q.draw(1, "episode", episode), False, 0.0

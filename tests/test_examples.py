@@ -1,12 +1,17 @@
-"""The examples run as they stand, at small sizes, each in a process and a folder of its own."""
+"""The examples run as they stand, at small sizes: in a process and a folder of their own, or watched in this one."""
 
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+
+from dropout_uncertainty import bayes
+from dropout_uncertainty.data_efficiency import policies
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -47,9 +52,67 @@ def test_an_agent_holds_a_draw_for_an_episode(tmp_path):
     assert [line.split(":")[0] for line in lines] == ["episode 0", "episode 1", "episode 2"]
 
 
-def test_a_plant_of_ones_own(tmp_path):
+def play(name, *arguments, monkeypatch):
+    """Run an example in this process; return its variables."""
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", *arguments])
+    return runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+
+
+def test_after_the_burn_in_an_agent_acts_on_the_draw_of_its_episode(monkeypatch):
+    gymnasium = pytest.importorskip("gymnasium")
+    places, best, held = np.random.default_rng(100), [], []
+
+    class Wandering(gymnasium.Env):
+        observation_space, action_space = gymnasium.spaces.Box(-9, 9, (2,)), gymnasium.spaces.Discrete(2)
+
+        def reset(self, *, seed=None, options=None):
+            return places.uniform(-9, 9, 2).astype(np.float32), {}
+
+        def step(self, action):
+            seen, _ = self.reset()
+            return seen, 1.0, False, len(best) % 520 == 0, {}
+
+    forward = bayes.MLP.forward
+
+    def watched(self, x, masks=None):
+        out = forward(self, x, masks)
+        if x.shape[:2] == (1, 1):  # not a batch to learn from
+            best.append(int(out.argmax()))
+            held.append(masks)
+        return out
+
+    gymnasium.register("Wandering-v0", Wandering)
+    monkeypatch.setattr(bayes.MLP, "forward", watched)
+    found = play("hold_a_draw", "Wandering-v0", "2", monkeypatch=monkeypatch)
+    acted = [action for _, action, *_ in found["memory"]]
+    assert len(acted) == 1040
+    assert acted[1000:] == best[1000:]
+    assert 300 < np.sum(np.not_equal(acted[:1000], best[:1000])) < 700
+    for step, masks in enumerate(held):
+        for mask, drawn in zip(masks, found["q"].draw(1, "episode", step // 520), strict=True):
+            assert mask is drawn is None or torch.equal(mask, drawn)
+
+
+def test_a_plant_of_ones_own_is_pushed_as_its_policy_says(monkeypatch, capsys):
     pytest.importorskip("gymnasium")
-    lines = run("your_own_plant", "1", "small", folder=tmp_path)
+    from dropout_uncertainty.data_efficiency.plant.environment import CartPoleSwingUp
+
+    pushed, step = [], CartPoleSwingUp.step
+
+    def watched(self, action):
+        after = step(self, action)
+        pushed.append((action.item(), after[0]))
+        return after
+
+    monkeypatch.setattr(CartPoleSwingUp, "step", watched)
+    found = play("your_own_plant", "1", "small", monkeypatch=monkeypatch)
+    actions, after = zip(*pushed, strict=True)
+    assert len(actions) == found["plant"].steps == 30
+    seen = torch.tensor(np.array(after[:-1])).to(found["run"].policy).view(1, -1, 4)
+    forces = policies.force(found["policy"], found["plant"], seen)[0].detach() / found["plant"].force_limit
+    np.testing.assert_allclose(actions[1:], forces, atol=1e-5)
+    assert np.ptp(actions) > 0.01
+    lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
     assert 0 < float(lines[-1].split()[-3]) <= 1
 

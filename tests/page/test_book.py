@@ -277,15 +277,19 @@ def test_no_figure_is_wider_than_the_column_of_text():
 
 
 def test_nothing_is_loaded_from_another_host():
-    loaded = []
+    loaded, own = [], set()
     for page in pages():
         for tag in soup(page).find_all(["script", "img", "iframe", "source", "video", "audio", "embed", "link"]):
             address = tag.get("src") or tag.get("href") or ""
             if address.startswith(("http:", "https:", "//")):
                 loaded.append(f"{page.name}: {address}")
+            elif address:
+                own.add(tag.name)
         loaded += [f"{page.name}: {script.string[:80]}" for script in soup(page).find_all("script") if _fetches(script)]
     for sheet in (HTML / "_static").rglob("*.css"):
         loaded += re.findall(r"(?:@import|url\()\s*['\"]?(?:https?:)?//[^)'\"]*", sheet.read_text(encoding="utf-8"))
+    assert {"script", "img", "link"} <= own, "addresses have been looked at"
+    assert any((HTML / "_static").rglob("*.css"))
     assert not loaded
 
 
@@ -296,6 +300,7 @@ def _fetches(script):
 def test_captions_carry_the_numbers_of_the_thesis():
     kinds = {"fig": "Figure", "tab": "Table"}
     named = [tag for page in pages() for tag in soup(page).find_all(id=re.compile(r"^(fig|tab)-5-\d+$"))]
+    assert {tag["id"][:3] for tag in named} == set(kinds)
     for tag in named:
         kind, number = tag["id"].split("-5-")
         caption = tag.find(class_="caption-number").get_text(strip=True)
@@ -304,6 +309,7 @@ def test_captions_carry_the_numbers_of_the_thesis():
     strangers = [
         tag.get_text(strip=True) for tag in numbered if tag.find_parent(id=re.compile(r"^(fig|tab)-5-\d+$")) is None
     ]
+    assert len(numbered) > len(strangers) > 0
     assert all(text.startswith("Algorithm") for text in strangers), (
         "pictures without a number of the thesis carry no caption"
     )

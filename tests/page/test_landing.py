@@ -1,11 +1,16 @@
 """What a reader sees first is what the records say: nine statements, three pictures, sentences of the first page."""
 
+import base64
+import io
 import re
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from dropout_uncertainty.active_learning import mnist
+from dropout_uncertainty.active_learning.report import analysis as active_learning
 from dropout_uncertainty.data_efficiency.plant.cost import SOLVED_BELOW
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.errors import UserError
@@ -104,8 +109,14 @@ def _origin(svg):
 
 
 def test_digits_are_the_last_ones_asked_for():
-    assert pictures.digits() is not None
-    assert "active_learning/ours/dropout/bald/000.npz" in pictures.digits()
+    drawn = pictures.digits()
+    assert "active_learning/ours/dropout/bald/000.npz" in drawn
+    images, rows = mnist.load().train_images.numpy(), active_learning.load_rows("ours")
+    shown = re.findall(r'href="data:image/png;base64,([^"]*)"', drawn)
+    for picture, name in zip(shown, ("random", "dropout/bald"), strict=True):
+        ink = 1 - plt.imread(io.BytesIO(base64.b64decode(picture)))[..., 0]
+        tiles = ink.reshape(6, 28, 4, 28).swapaxes(1, 2).reshape(24, 28, 28)
+        np.testing.assert_allclose(tiles, images[rows[name].records[0].arrays["points"][0, -24:]], atol=0.01)
 
 
 def test_without_records_there_is_nothing_to_draw(tmp_path):

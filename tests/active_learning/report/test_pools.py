@@ -1,11 +1,20 @@
 """The numbers of the noisy pools from runs made up by hand."""
 
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import torch
 
 from dropout_uncertainty.active_learning.experiment import CONFIGS
-from dropout_uncertainty.active_learning.report import chapter, pools
-from dropout_uncertainty.active_learning.report.analysis import Row
+from dropout_uncertainty.active_learning.noisy_pools import Task
+from dropout_uncertainty.active_learning.pools import Split
+from dropout_uncertainty.active_learning.report import chapter, figures, pools
+from dropout_uncertainty.active_learning.report.analysis import LABELS, Row
+from dropout_uncertainty.page.plotting import COLOURS
+from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.stats import mean_estimate
 
 
@@ -49,6 +58,81 @@ def test_a_primary_statement_waits_for_as_many_seeds_as_on_the_scoreboard(found)
     assert verdict["AL11b"] == "supported"
 
 
+def with_points(row, points):
+    """Return the row with a record of the points that it asked for."""
+    header = {"experiment": "x", "name": row.config, "config_hash": "x", "precision": "x", "seeds": list(row.seeds)}
+    return replace(row, records=(Record(header, {"points": points}, Path("x.npz")),))
+
+
+def test_curves_and_differences_of_pools_are_drawn(found):
+    fig, (clean, ambiguous, ax) = plt.subplots(1, 3)
+    rows = found["ambiguous"]
+    figures.pool_curves([clean, ambiguous], {"clean": {}, "ambiguous": rows})
+    assert [ax.get_title() for ax in (clean, ambiguous)] == ["clean", "ambiguous"]
+    assert [text.get_text() for text in clean.texts] == ["not run yet"]
+    lines = {line.get_label(): line.get_xydata() for line in ambiguous.lines}
+    for name, end in (("dropout/bald", 11), ("softmax/max-entropy", 16)):
+        np.testing.assert_allclose(lines[LABELS[name]][[0, 9, 10, 30]], [(0, 90), (90, 90), (100, end), (300, end)])
+    pairs = [pools.contrast(found, "ambiguous", *names) for names in (list(rows), list(rows)[::-1])]
+    figures.forest(ax, pairs)
+    dots = [line for line in ax.lines if line.get_marker() == "o"]
+    assert [(*dot.get_xydata()[0], dot.get_color()) for dot in dots] == [
+        (-5, 0, COLOURS["bald"]), (5, 1, COLOURS["max-entropy"]),
+    ]  # fmt: skip
+    seeds = [line.get_xydata().tolist() for line in ax.lines if line.get_marker() == "|"]
+    assert seeds == [[[-5, 0], [-5, 0]], [[5, 1], [5, 1]]]
+    first, second = (LABELS[name] for name in rows)
+    assert [label.get_text() for label in ax.get_yticklabels()] == [
+        f"ambiguous: {first} − {second} (2)", f"ambiguous: {second} − {first} (2)",
+    ]  # fmt: skip
+    plt.close(fig)
+
+
+def test_what_was_bought_is_drawn_in_the_order_of_acquisition(found, digits, monkeypatch):
+    order = np.random.default_rng(100).permutation(len(digits.train_labels))
+    everything = torch.arange(len(order))
+    task = Task(
+        digits, Split(everything[:20], everything[:0], everything[20:]), everything % 3 == 0, everything, everything
+    )
+    monkeypatch.setattr(pools, "task_of", lambda *_: task)
+    rows = {
+        name: with_points(row, np.stack([np.roll(order, shift)[:100]] * len(row.seeds)))
+        for shift, (name, row) in enumerate(found["ambiguous"].items())
+    }
+    fig, axes = plt.subplots(1, 2)
+    names = ["softmax/max-entropy", "random", "dropout/bald"]
+    figures.bought(list(axes), "ambiguous", rows, names)
+    assert fig.get_suptitle() == "ambiguous"
+    for ax, name in zip(axes, names[::2], strict=True):
+        points = rows[name].stack("points")[0, 20:80]
+        assert ax.get_title() == LABELS[name]
+        tiles = ax.images[0].get_array().reshape(6, 28, 10, 28).swapaxes(1, 2).reshape(60, 28, 28)
+        np.testing.assert_array_equal(tiles, digits.train_images[points])
+        framed = {round(frame.get_y() / 28) * 10 + round(frame.get_x() / 28) for frame in ax.patches}
+        assert framed == set(np.flatnonzero(points % 3 == 0))
+    plt.close(fig)
+
+
+def test_shares_of_classes_are_of_what_was_acquired(found):
+    labels = np.repeat(np.arange(10), 10)
+    start, (bald, entropy) = np.full(20, 99), found["ambiguous"].values()  # a nine at first
+    asked = {"bald": [[5, 15, 25, 25]] * 3, "entropy": [[35, 35, 35, 35], [35, 35, 45, 45]]}
+    rows = {
+        row.name: with_points(row, np.array([[*start, *points] for points in of]))
+        for row, of in zip((bald, entropy), asked.values(), strict=True)
+    }
+    fig, ax = plt.subplots()
+    shares = figures.class_shares(ax, rows, labels)
+    expected = np.zeros((2, 10))
+    expected[0, :3], expected[1, 3:5] = (25, 25, 50), (75, 25)
+    np.testing.assert_allclose(shares, expected)
+    np.testing.assert_allclose(ax.images[0].get_array(), expected)
+    assert [label.get_text() for label in ax.get_yticklabels()] == [bald.label, entropy.label]
+    numbers = {text.get_position(): text.get_text() for text in ax.texts}
+    assert numbers == {(j, i): f"{share:.0f}" for (i, j), share in np.ndenumerate(expected)}
+    plt.close(fig)
+
+
 def test_published_pools_are_what_the_page_was_written_for():
     """Where this fails, read the page *When do weight draws save labels?* and the line on pools in *What to use*."""
     found = pools.load()
@@ -76,8 +160,6 @@ def test_every_comparison_is_of_rows_that_are_run():
 
 
 def test_results_come_from_records_of_a_run(tmp_path, digits, monkeypatch):
-    from dataclasses import replace
-
     from dropout_uncertainty.active_learning import experiment
     from dropout_uncertainty.active_learning import pools as pool
     from dropout_uncertainty.runs import execute

@@ -188,6 +188,38 @@ def test_figure_5_4_is_averaged_on_the_logarithmic_axis_and_marks_where_mean_cur
     plt.close(figure)
 
 
+def test_habits_are_counted_per_1000_ticks_over_ranges_of_a_logarithmic_axis():
+    step = np.array([99.0] * 6 + [1.0] * 6 + [2.0] * 12)  # per 500 ticks: of the burn-in, to tick 6000, to 12,000
+    agents = {}
+    for agent, more in (("thompson", 1), ("epsilon-greedy", 10)):
+        counts = {name: np.outer([more, more], place * step) for place, name in enumerate(figures.HABITS.values(), 1)}
+        agents[agent] = curves(counts["food"], agent, **counts)
+    figure, axes = plt.subplots(1, 4)
+    figures.habits(list(axes), agents, points=2)
+    assert [ax.get_title() for ax in axes] == list(figures.HABITS)
+    for place, ax in enumerate(axes, 1):
+        for line, (agent, more) in zip(ax.lines[::3], (("thompson", 1), ("epsilon-greedy", 10)), strict=True):
+            assert line.get_label() == analysis.LABELS[agent]
+            np.testing.assert_allclose(line.get_xdata(), np.sqrt([3000 * 6000, 6000 * 12_000]))
+            np.testing.assert_allclose(line.get_ydata(), 2 * more * place * np.array([1, 2]))
+    assert list(figures.HABITS.values()) == ["blocked", "food", "poison", "explored"]
+    plt.close(figure)
+
+
+def test_errors_on_what_was_learned_are_left_of_those_on_what_was_held_out(tmp_path):
+    world(tmp_path)
+    networks = {name: analysis.load(name, tmp_path)["epsilon-greedy"] for name in ERRORS}
+    figure, axes = plt.subplots(1, 2)
+    figures.held_out_errors(list(axes), networks)
+    assert [ax.get_title() for ax in axes] == ["transitions learned from", "transitions held out"]
+    for ax, errors in zip(axes, zip(*ERRORS.values(), strict=True), strict=True):
+        assert [line.get_label() for line in ax.lines] == list(ERRORS)
+        for line, error, network in zip(ax.lines, errors, networks.values(), strict=True):
+            np.testing.assert_allclose(line.get_ydata(), error, rtol=0.01)
+            np.testing.assert_allclose(line.get_xdata(), network.ticks[-1] * np.arange(0.1, 1.05, 0.1))
+    plt.close(figure)
+
+
 def test_late_in_the_runs_epsilon_greedy_eats_twice_as_much_and_no_more_poison():
     """The chapter says so, under "Where it breaks"."""
     agents = analysis.load("as-demo")

@@ -108,6 +108,9 @@ def test_pictures_show_what_there_is(cells, some):
         line = axes[0].containers[0].lines[0]
         np.testing.assert_allclose(line.get_ydata(), [0.96, 0.91])
         assert len(axes[2].lines) == 4 * len(LEVELS)  # mean and three seeds of each
+        for line, (name, (early, late)) in zip(axes[2].lines[::4], LEVELS.items(), strict=True):
+            assert line.get_label() == LABELS[name]
+            np.testing.assert_allclose(line.get_ydata()[[0, -1]], [early + 0.01, late + 0.01])
         assert [words.startswith("Not run") for words in above] == [False, True, False, False, True]
         assert absent == ["not run yet"] * 6  # held draws, schedules, and the masks beside ε-greedy
         dots = [line.get_xdata()[0] for line in axes[3].lines if line.get_marker() == "o"]
@@ -115,4 +118,23 @@ def test_pictures_show_what_there_is(cells, some):
     else:
         assert [words.startswith("Not run") for words in above] == [True, True, True, False, True]
         assert absent == ["not run yet"] * len(CONTRASTS)
+    plt.close(fig)
+
+
+def test_held_draws_stand_beside_the_mean_up_to_tick_50_000():
+    reward = np.array([99.0] * 6 + [0.0] * 94 + [9.0] * 300)
+    levels = {"dropout-draw": 0.5, "hold-10": 0.4, "hold-100": 0.3, "hold-1000": 0.2, "dropout-mean": 0.6}
+    cells = {
+        name: Curves("thompson", f"two-by-two/{name}", reward[None], (0,), {"reward": reward[None] + level})
+        for name, level in levels.items()
+    }
+    fig, (ax, square) = plt.subplots(1, 2)
+    figures.held_draws(ax, cells)
+    line = ax.containers[0].lines[0]
+    np.testing.assert_allclose(line.get_xydata(), [(1, 0.5), (10, 0.4), (100, 0.3), (1000, 0.2)])
+    assert ax.containers[0].get_label() == "acts on a draw"
+    (grey,) = [line for line in ax.lines if line.get_label() == "acts on the mean"]
+    np.testing.assert_allclose(grey.get_ydata(), 0.6)
+    figures.interaction(square, cells)
+    np.testing.assert_allclose(square.containers[0].lines[0].get_ydata(), [0.6, 0.5])
     plt.close(fig)

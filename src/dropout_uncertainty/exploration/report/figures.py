@@ -88,7 +88,8 @@ def habits(axes: Sequence[Axes], agents: Agents, *, points: int = 25) -> None:
     for ax, (title, name) in zip(axes, HABITS.items(), strict=True):
         for curves in agents.values():
             edges = np.unique(np.geomspace(BURN_IN, curves.ticks[-1], points + 1) // BLOCK) * BLOCK
-            counts = np.stack([1000 * curves.share(name, *ticks) for ticks in itertools.pairwise(edges)], axis=1)
+            ranges = itertools.pairwise(edges.astype(int).tolist())
+            counts = np.stack([1000 * curves.share(name, *ticks) for ticks in ranges], axis=1)
             middle = np.sqrt(edges[:-1] * edges[1:])
             band(ax, middle, counts, colour=COLOURS[curves.agent], label=curves.label)
         place = ax.get_subplotspec()

@@ -6,9 +6,10 @@ import pytest
 
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
+from matplotlib.text import Annotation
 
 from dropout_uncertainty.data_efficiency.ablations import variants
-from dropout_uncertainty.data_efficiency.ablations.probes import CLOUDS, OPTIMISERS
+from dropout_uncertainty.data_efficiency.ablations.probes import CLOUDS, OPTIMISERS, PARTED
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as matters
 from dropout_uncertainty.data_efficiency.ablations.report import figures
 from dropout_uncertainty.data_efficiency.ablations.variants import MECHANISM, SCALING, VARIANTS
@@ -210,25 +211,91 @@ def test_quick_run_is_held_to_its_bands(tmp_path):
         matters.check_quick(ours, seen, matters.times(tmp_path / "other"))
 
 
-def test_pictures_show_the_numbers(tmp_path):
+def labelled(ax):
+    return {line.get_label(): line for line in ax.lines if not line.get_label().startswith("_")}
+
+
+def dots(ax, marker="o"):
+    """Return [x, y] of single points, in the order of drawing."""
+    return np.array([line.get_xydata()[0] for line in ax.lines if line.get_marker() == marker])
+
+
+def test_pictures_of_variants_show_the_numbers(tmp_path):
     world(tmp_path)
-    found, seen = matters.comparisons(tmp_path), matters.inside(tmp_path)
+    found = matters.comparisons(tmp_path)
     _, axes = plt.subplots(1, 2, sharey=True)
     figures.forest(list(axes), found)
-    points = [line.get_xdata()[0] for line in axes[0].lines if line.get_marker() == "o"]
-    np.testing.assert_allclose(points, [comparison.solved_difference.value for comparison in found])
+    ours = costs([5] * RUNS, variants.TRIALS).mean(-1)[:, 1:].mean(0)
+    solved = [comparison.first.first_solved.max() for comparison in found]
+    theirs = [costs([first], variants.TRIALS).mean(-1)[0, 1:] for first in solved]
+    rows = np.arange(len(found))
+    np.testing.assert_allclose(dots(axes[0]), np.transpose((-np.isinf(solved).astype(float), rows)))
+    dearer = [curve.mean() - ours.mean() for curve in theirs]
+    np.testing.assert_allclose(dots(axes[1]), np.transpose((dearer, rows)), atol=1e-3)
     labels = [text.get_text() for text in axes[0].get_yticklabels()]
     assert labels[1] == "no moment matching  (0/10)"
-    _, axes = plt.subplots(1, 2)
-    figures.clouds(list(axes), seen, analysis.load("pilco-paper", tmp_path))
-    np.testing.assert_allclose(axes[1].lines[0].get_ydata(), seen.covered("held-free").mean((0, 1, 3)))
-    figures.parting(list(axes), seen)
-    figures.gradients(list(axes), seen)
-    figures.objective(axes[0], seen)
-    figures.optimisers(axes[1], seen)
     _, axes = plt.subplots(1, 3)
     figures.curves(list(axes), {"a": found[:2], "b": found[2:4], "c": []})
+    assert [ax.get_title() for ax in axes] == ["a", "b", "c"]
+    for ax, place in ((axes[0], 0), (axes[1], 2)):
+        np.testing.assert_allclose(labelled(ax)["ours"].get_ydata(), ours, atol=1e-3)
+        assert [*labelled(ax)][-1] == "ours"
+        for line, curve in zip(ax.lines[:2], theirs[place : place + 2], strict=True):
+            np.testing.assert_allclose(line.get_ydata(), curve, atol=1e-3)
+    plt.close("all")
+
+
+def test_pictures_of_the_mechanism_show_the_numbers(tmp_path):
+    world(tmp_path)
+    seen, words = matters.inside(tmp_path), {name: style[0] for name, style in figures.CLOUD_STYLES.items()}
+    _, (left, right) = plt.subplots(1, 2)
+    figures.clouds([left, right], seen, analysis.load("pilco-paper", tmp_path))
+    for name, label in words.items():
+        held = 0.3 * ("held" in name)
+        np.testing.assert_allclose(labelled(left)[label].get_ydata(), held / np.log(10), atol=0.01)
+        share = (np.abs(seen.arrays["true_states"][:, :, 1:]) <= 2 * seen.std(name)).mean((0, 1, 3))
+        np.testing.assert_allclose(labelled(right)[label].get_ydata(), share)
+    np.testing.assert_allclose(labelled(left)["PILCO"].get_ydata(), np.log10(0.5))
+    assert labelled(right)["PILCO"].get_ydata().mean() == pytest.approx(0.683, abs=0.03)
+    _, (left, right) = plt.subplots(1, 2)
+    figures.parting([left, right], seen)
+    depth = {name: seen.arrays["cloud_valley"][:, :, place] for place, name in enumerate(CLOUDS)}
+    assert set(labelled(left)) == {words["held-free"], words["held-matched"]}
+    for name in ("held-free", "held-matched"):
+        parted = (depth[name] >= PARTED).mean((0, 1))
+        np.testing.assert_allclose(labelled(left)[words[name]].get_ydata(), parted)
+    np.testing.assert_array_equal(right.lines[0].get_xdata(), depth["held-free"].ravel())
+    np.testing.assert_array_equal(right.lines[0].get_ydata(), seen.arrays["penalty"].ravel())
+    steps = [line.get_ydata()[0] for line in right.lines[1:6]]
+    np.testing.assert_allclose(steps, [0.1, 0.3, 0.5, 0.7, 0.9], atol=0.05)
+    _, (left, right) = plt.subplots(1, 2)
+    figures.gradients([left, right], seen)
+    for matching, variance in zip(MATCHING, (1, 2, 4), strict=True):
+        label = figures.MATCHING_STYLES[matching][0]
+        np.testing.assert_allclose(labelled(left)[label].get_ydata(), np.log10(variance), atol=0.02)
+        np.testing.assert_allclose(labelled(right)[label].get_ydata(), np.log10(variance) / 2, atol=0.02)
+    _, (left, right) = plt.subplots(1, 2)
+    figures.objective(left, seen)
+    few, most = np.array(MECHANISM.counts[:-1]), MECHANISM.counts[-1]
+    for (label, _), whiskers in zip(figures.MATCHING_STYLES.values(), left.collections, strict=True):
+        np.testing.assert_allclose(labelled(left)[label].get_ydata(), 0.1 / few - 0.1 / most, atol=1e-5)
+        middle = np.mean([ends[:, 1] for ends in whiskers.get_segments()], axis=1)
+        np.testing.assert_allclose(middle, 0.1 / few - 0.1 / most, atol=1e-5)
+    figures.optimisers(right, seen)
+    assert {label: line.get_marker() for label, line in labelled(right).items()} == {
+        "by its own account": "s", "on fresh particles": "o",
+    }  # fmt: skip
+    np.testing.assert_allclose(dots(right, "s"), [(0.5, 0), (0.48, 1), (0.45, 2)], atol=0.02)
+    np.testing.assert_allclose(dots(right), [(0.5, 0), (0.55, 1), (0.6, 2)], atol=0.02)
+    arrows = [(arrow.xyann[0], arrow.xy[0]) for arrow in right.texts if isinstance(arrow, Annotation)]
+    np.testing.assert_allclose(arrows, [(0.5, 0.5), (0.48, 0.55), (0.45, 0.6)], atol=0.02)
+    _, axes = plt.subplots(1, 3)
     figures.scaling(list(axes), matters.times(tmp_path))
+    for ax, flat in zip(axes, (0, 0.5, 1), strict=True):
+        for label, exponent in (("PILCO", 2), ("Deep PILCO", flat)):
+            slope = np.polyfit(*np.log(labelled(ax)[label].get_data()), 1)[0]
+            assert slope == pytest.approx(exponent, abs=0.02)
+        assert {text.get_text() for text in ax.texts} == {"2.0", f"{flat:.1f}"}
     plt.close("all")
 
 

@@ -125,18 +125,85 @@ def test_without_records_there_is_nothing_and_the_page_says_so(tmp_path):
     assert chapter.choices(empty).markdown == chapter.clouds(empty).markdown == ""
 
 
-def test_pictures_and_sentences_show_the_numbers(folder):
+def dots(ax, colour=None):
+    """Return [x, y] of the dots of a forest plot, of one colour if it is named, in the order of drawing."""
+    lines = [line for line in ax.lines if line.get_marker() == "o" and colour in {None, line.get_color()}]
+    return np.array([line.get_xydata()[0] for line in lines])
+
+
+def labelled(ax):
+    return {line.get_label(): line for line in ax.lines if not line.get_label().startswith("_")}
+
+
+def test_pictures_show_the_numbers(folder):
     found = chapter.Runs.of(worth.stored(folder), worth.clouds(folder), worth.estimates(folder))
-    points = [line for line in figures.forest(found.pairs).axes[0].lines if line.get_marker() == "o"]
-    expected = [pair.cost_difference.value for pair in found.pairs]
-    np.testing.assert_allclose([point.get_xdata()[0] for point in points], expected)
-    assert len(figures.covered(found.pairs).axes) == 4
-    assert len(figures.both_ways(found.literal).axes[0].get_yticks()) == 2
-    said, cost = figures.first_trials(found.pilco).axes[0].lines[:2]
-    assert (cost.get_ydata() - said.get_ydata()).min() > 0.35
-    for figure in (figures.particles(found.particles), figures.left(found.clouds)):
-        assert len(figure.axes) == 1
-    assert len(figures.estimates(found.estimates).axes[0].lines) == len(ESTIMATES)
+    doubt, sure = figures.DOUBT, figures.SURE
+    assert [pair.name for pair in found.pairs] == ["mean-network", "no-dropout", "pilco-mean", "ensemble"]
+    dearer, broken = figures.forest(found.pairs).axes
+    np.testing.assert_allclose(dots(dearer), [(0, 0), (0.1, 1), (0.1, 2), (-0.1, 3)], atol=0.02)
+    np.testing.assert_allclose(dots(broken, doubt)[:, 0], [0, 0, 0, 0], atol=0.01)
+    np.testing.assert_allclose(dots(broken, sure)[:, 0], [0, 0, 0.4, 0], atol=0.01)
+    assert {label: line.get_color() for label, line in labelled(broken).items()} == {
+        "what it is held against": doubt, "the learner named": sure,
+    }  # fmt: skip
+    panels = figures.covered(found.pairs).axes
+    assert len(panels) == 4
+    shown = [(line.get_label(), line.get_color(), line.get_ydata().mean()) for line in panels[2].lines[:2]]
+    assert shown == [("what it is held against", doubt, 1), ("the learner named", sure, pytest.approx(0.75))]
+    for ax, title, words in zip(
+        figures.first_trials(found.pilco).axes, ("on its mean", "with its doubt"), ((0.2, 0.6), (0.5, 0.5)), strict=True
+    ):
+        assert ax.get_title() == title
+        for label, cost in zip(("predicted", "realised"), words, strict=True):
+            np.testing.assert_allclose(labelled(ax)[label].get_ydata(), cost, atol=0.02)
+    axes = figures.both_ways(found.literal).axes
+    names = [label.get_text() for label in axes[0].get_yticklabels()]
+    expected = {"added to the text's": {"matching": -0.2}, "taken from ours": {"clip": 0, "matching": 0.1}}
+    assert {ax.get_title(): {names[int(y)]: x for x, y in dots(ax)} for ax in axes} == {
+        title: pytest.approx(costs, abs=0.02) for title, costs in expected.items()
+    }
+    (ax,) = figures.particles(found.particles).axes
+    assert {label: (line.get_color(), line.get_xdata()[0]) for label, line in labelled(ax).items()} == {
+        "fresh particles, Adam": (doubt, pytest.approx(0.6, abs=0.02)),
+        "fixed particles, BFGS": (sure, pytest.approx(0.8, abs=0.02)),
+    }
+    plt.close("all")
+
+
+def test_pictures_of_clouds_and_gradients_show_the_numbers(folder):
+    (ax,) = figures.left(worth.clouds(folder)).axes
+    (cloud,) = worth.clouds(folder)
+    steps = np.arange(1, STEPS + 1)
+    expected = {
+        "plain noise, mean": 0.1, "plain noise, median": 0.05, "standardised noise, mean": 1.0,
+        "standardised noise, median": 0.5, "a walk that does nothing": (1 - 1 / cloud.particles) ** steps,
+    }  # fmt: skip
+    assert set(labelled(ax)) == set(expected)
+    for label, line in labelled(ax).items():
+        np.testing.assert_allclose(line.get_ydata(), np.broadcast_to(expected[label], STEPS), rtol=1e-5)
+    measured = worth.estimates(folder)
+    lines = labelled(figures.estimates(measured).axes[0])
+    assert list(lines) == [name.replace("-", " ") for name in ESTIMATES]
+    for i, line in enumerate(lines.values()):
+        np.testing.assert_allclose(line.get_ydata(), np.log10(measured.variance[:, :, i]).mean((0, 1)), rtol=1e-5)
+        np.testing.assert_array_equal(line.get_xdata(), measured.horizons)
+    plt.close("all")
+
+
+def test_a_walk_follows_its_theory():
+    count, factors = 10, rng.chisquare(9, size=(12, 100_000))
+    walks = {f"1/{k}": np.cumprod(np.vstack((np.ones(100_000), factors / k)), 0) for k in (count, count - 1)}
+    ax = figures.walk(plt.figure().subplots(), walks, count)
+    theory = iter([line.get_ydata() for line in ax.lines if line.get_marker() == "."])
+    for words, values in walks.items():
+        for kind, drawn in (("mean", values.mean(1)), ("median", np.median(values, 1))):
+            np.testing.assert_allclose(labelled(ax)[f"{words}, {kind}"].get_ydata(), drawn)
+            np.testing.assert_allclose(next(theory), drawn[::4], rtol=0.1)
+    plt.close("all")
+
+
+def test_sentences_show_the_numbers(folder):
+    found = chapter.Runs.of(worth.stored(folder), worth.clouds(folder), worth.estimates(folder))
     text = chapter.answers(found).markdown
     assert "**PILCO, planned on its mean** costs more" in text
     assert "**ensemble in the place of dropout** costs less" in text
@@ -148,7 +215,6 @@ def test_pictures_and_sentences_show_the_numbers(folder):
         found.missing("doubt").markdown
         == "*Not run yet: `doubt/no-dropout`, `doubt/ensemble-mean`, `doubt/as-text-mean`.*"
     )
-    plt.close("all")
 
 
 def test_statements_are_judged_by_these_records(folder):

@@ -1,11 +1,14 @@
 """Where the state is hidden, from small made-up records: scores, verdicts, words and pictures."""
 
+from dataclasses import replace
+
 import matplotlib
 import numpy as np
 import pytest
 
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
+from scipy.stats import norm
 
 from dropout_uncertainty import stats
 from dropout_uncertainty.data_efficiency.configs import CONFIGS
@@ -139,6 +142,66 @@ def test_what_is_missing_is_one_line_and_what_is_there_is_drawn(folder):
     ]  # fmt: skip
     assert len(found.records) == 9
     assert chapter.answers(chapter.Runs([], [], {})).markdown == ""
+
+
+def labelled(ax):
+    return {line.get_label(): line.get_ydata() for line in ax.lines if not line.get_label().startswith("_")}
+
+
+def test_pictures_of_texts_and_learners_show_the_numbers(folder):
+    found = runs_of(folder)
+    train, test = figures.readings(found.languages).axes
+    assert [ax.get_title() for ax in (train, test)] == ["text that it was trained on", "other text"]
+    for ax, part in ((train, "train"), (test, "test")):
+        assert set(labelled(ax)) == {LANGUAGES["fresh"], LANGUAGES["held"]}
+        for masks in ("fresh", "held"):
+            (record,) = records.find("data_efficiency", name=f"hidden/language-{masks}", folder=folder)
+            np.testing.assert_allclose(labelled(ax)[LANGUAGES[masks]], record.arrays[part].mean(0), rtol=1e-5)
+    costs, ever = figures.learning(found.learners).axes
+    assert [ax.get_ylabel() for ax in (costs, ever)] == ["mean cost per step", "share of repetitions solved by then"]
+    expected = {
+        MODELS["last-one"]: 0.9045,
+        MODELS["lstm-held"]: 0.1045,
+        SEEN: 0.0545,
+    }  # of the ten seeds that all share
+    assert {label: values.mean() for label, values in labelled(costs).items()} == pytest.approx(expected, abs=1e-5)
+    assert {line.get_color(): line.get_ydata().tolist() for line in ever.lines} == {
+        figures.STYLES[name][0]: [share] * 25 for name, share in (("last-one", 0), ("lstm-held", 1), ("seen", 1))
+    }
+    plt.close("all")
+
+
+def test_pictures_of_predictions_show_the_numbers(folder):
+    noise, found = np.random.default_rng(100), []
+    for run in runs_of(folder).models:
+        shape = run.arrays["observed"].shape
+        drawn = {name: noise.standard_normal(shape) for name in ("observed", "predicted_mean")}
+        found.append(replace(run, arrays={**drawn, "predicted_std": noise.uniform(0.5, 2, shape)}))
+    (density, covered), over, trials = (draw(found).axes for draw in (figures.scores, figures.over_time, figures.trial))
+    assert [ax.get_ylabel() for ax in (density, covered)] == [
+        "log density of a number [nats]",
+        "within two predicted std",
+    ]
+    assert [ax.get_title() for ax in over] == ["x", "θ"]
+    assert [ax.get_title() for ax in trials] == [MODELS[run.name] for run in found[:3]]
+    for place, run in enumerate(found):
+        true, mean, std = (run.arrays[name] for name in ("observed", "predicted_mean", "predicted_std"))
+        log_density = norm.logpdf(true, mean, std)
+        inside = np.abs(true - mean) <= 2 * std
+        for ax, values in ((density, log_density), (covered, inside)):
+            bars = ax.containers[place]
+            assert bars.get_label() == MODELS[run.name]
+            np.testing.assert_allclose(bars.lines[0].get_ydata(), values.mean((0, 2, 3, 4)))
+        for ax, number in zip(over, (0, 1), strict=True):
+            drawn = labelled(ax)[MODELS[run.name]]
+            np.testing.assert_allclose(drawn, log_density[..., number].mean((0, 1, 2)))
+        if place < 3:
+            drawn = labelled(trials[place])
+            np.testing.assert_array_equal(drawn["predicted, two std"], mean[0, -1, 0, :, 1])
+            np.testing.assert_array_equal(drawn["observed"], true[0, -1, 0, :, 1])
+            edges = trials[place].collections[0].get_paths()[0].vertices[:, 1]
+            assert edges.max() == pytest.approx((mean + 2 * std)[0, -1, 0, :, 1].max())
+    plt.close("all")
 
 
 def test_what_the_page_says_of_the_stored_runs():

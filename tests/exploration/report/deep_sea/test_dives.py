@@ -1,5 +1,7 @@
 """Deep Sea's numbers and pictures: bsuite's rule, censoring, growth, and what has not been run."""
 
+from dataclasses import replace
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -174,6 +176,38 @@ def test_pictures_show_what_there_is(some):
             assert ax.get_title(loc="left").startswith("Not run yet:")
         plt.close(fig)
         plt.close(other)
+
+
+def test_pictures_show_the_numbers():
+    mine = dives("epsilon-greedy", 10, [500, 1500, 2500, np.inf], [3000] * 4)
+    mine = replace(mine, found=np.array([400, 900, 1700, np.inf]))
+    known = {("epsilon-greedy", 10): mine, ("greedy", 10): dives("greedy", 10, [np.inf] * 4, [3000] * 4)}
+    fig, axes = plt.subplots(len(LABELS), 2)
+    figures.reached(axes, known, 10, (5, 6))
+    assert [ax.get_title() for ax in axes[0]] == ["5 episodes", "6 episodes"]
+    assert [ax.images[0].get_array()[1, 1] for ax in axes[0]] == [0, 0.25]  # one sea of four, in its sixth episode
+    other, (left, middle, right) = plt.subplots(1, 3)
+    figures.shares(left, known, 10)
+    dots = [line for line in left.lines if line.get_marker() == "o"]
+    shown = {(round(*dot.get_ydata()), dot.get_markerfacecolor() == "white"): dot.get_xdata()[0] for dot in dots[:4]}
+    assert shown == {(0, True): 0.75, (0, False): 0.5, (1, True): 0, (1, False): 0}
+    assert {line.get_label(): line.get_markerfacecolor() == "white" for line in dots[4:]} == {
+        "treasure found": True, "sea solved": False,
+    }  # fmt: skip
+    (line,) = [line for line in left.lines if line.get_linestyle() == ":"]
+    np.testing.assert_allclose(line.get_xdata(), 1 - (1 - 2.0**-10) ** 2000)
+    figures.survival(middle, known, 10)
+    for label, unsolved in (("ε-greedy", [1, 0.75, 0.5, 0.5, 0.25]), ("No exploration", [1] * 5)):
+        x, y = next(line for line in middle.lines if line.get_label() == label).get_data()
+        np.testing.assert_allclose(y[np.searchsorted(x, [499, 500, 1500, 2499, 2999], "right") - 1], unsolved)
+    figures.growth(right, known)
+    (median,) = [line for line in right.lines if line.get_label() == "ε-greedy"]
+    assert median.get_ydata().tolist() == [1500]
+    ((_, low), (_, high)) = right.collections[0].get_segments()[0]
+    assert (low, high) == (mine.median().low, min(mine.median().high, 3000))
+    assert [line.get_ydata().tolist() for line in right.lines if "arrow" in str(line.get_marker())] == [[], [3000]]
+    plt.close(fig)
+    plt.close(other)
 
 
 def test_the_animation_darkens_what_is_reached(some):
