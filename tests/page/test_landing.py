@@ -148,13 +148,14 @@ def test_the_first_page_uses_every_fact_and_no_other(facts):
     page = (ROOT / "book" / "index.md").read_text(encoding="utf-8")
     names, advice = re.findall(GLUED, page), {f"use_{name}" for name in landing.USED}
     assert sorted(name for name in names if name not in advice) == sorted(set(facts) - advice)
-    assert {name for name in names if name in advice} == {"use_AL11", "use_AL11d", "use_AL11m"}, "held to ADVICE below"
+    held = {"use_AL3e", "use_AL11", "use_AL11d", "use_AL11m"}
+    assert {name for name in names if name in advice} == held, "held to ADVICE below"
 
 
 #: What the lines of "What to use when" were written for. Where this changes, write them again.
 ADVICE = {
-    "AL3e": "untested", "AL3f": "no difference", "AL3g": "inconclusive", "AL4a": "supported", "AL4b": "contradicted",
-    "AL5b": "untested", "AL5c": "supported", "AL5e": "supported", "AL5f": "supported", "AL7a": "confirmed",
+    "AL3e": "no difference", "AL3f": "no difference", "AL3g": "inconclusive", "AL4a": "supported",
+    "AL4b": "contradicted", "AL5b": "untested", "AL5c": "supported", "AL5e": "supported", "AL5f": "supported", "AL7a": "confirmed",
     "AL7b": "confirmed", "AL9c": "supported", "AL11": "supported", "AL11b": "supported", "AL11d": "contradicted",
     "AL11c": "inconclusive", "AL11i": "untested", "AL11l": "untested", "AL11m": "supported",
     "EX2d": "supported", "EX5a": "supported", "EX5b": "supported", "EX6c": "contradicted", "EX7a": "inconclusive",
