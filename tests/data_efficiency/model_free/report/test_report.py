@@ -113,7 +113,7 @@ def test_what_the_page_says_of_the_stored_runs():
     said = {"DE9a": "supported", "DE9b": "supported", "DE9c": "inconclusive", "DE9d": "inconclusive"}
     assert {name: judge([STATEMENTS[name]])[0].verdict for name in said} == said
     times = [times_as_many(name, "deep-pilco-ours", 0.0, None).ours for name in ("naf", "ddpg")]
-    assert [[round(end, -1) for end in (t.low, t.high)] for t in times] == [[40, 140], [90, 200]]
+    assert [[round(end, -1) for end in (t.low, t.high)] for t in times] == [[50, 120], [100, 200]]
     assert OURS.model_steps + OURS.policy_steps == 900
     ddpg, naf = load("ddpg"), load("naf")
     assert {len(learning.seeds) for learning in (ddpg, naf)} == {20}
