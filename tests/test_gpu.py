@@ -19,7 +19,8 @@ def states(report):
 
 @pytest.mark.slow
 def test_every_part_is_done_once(tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(tmp_path / "none"))  # where everything is missing
+    (empty := tmp_path / "none").mkdir()  # where everything is missing
+    monkeypatch.setenv("DROPOUT_UNCERTAINTY_RECORDS", str(empty))
     first = gpu.run(tmp_path, 600.0, device="cpu", tiny=True, workers=1)
     assert states(first) == dict.fromkeys(("bits", "pools", "tables", "deep-pilco", "pilco", "kernels"), "done")
     assert list(first["parts"]["bits"]["equal"].values()) == [True] * len(gpu.KERNELS)
