@@ -177,9 +177,8 @@ def bootstrap_estimate(statistic: Statistic, *sizes: int, most: Statistic | None
     value = float((most or statistic)(*map(np.arange, sizes)))
     if n < 2 or np.isnan(value) or (most is None and np.isinf(value)):
         return _unknown(value, n)
-    least_draws = _draws(statistic, sizes)
-    most_draws = least_draws if most is None else _draws(most, sizes)
-    _, weights = _resamples(*sizes)
+    least_draws, weights = _draws(statistic, sizes)
+    most_draws = least_draws if most is None else _draws(most, sizes)[0]
     low, high, low90, high90 = (
         _quantile(draws, weights, level, n)
         for draws, level in ((least_draws, 0.025), (most_draws, 0.975), (least_draws, 0.05), (most_draws, 0.95))
@@ -216,13 +215,13 @@ def _every_resample(n: int) -> tuple[Int[np.ndarray, "B n"], Float[np.ndarray, "
     return indices, np.exp(math.lgamma(n + 1) - gammaln(counts + 1).sum(-1) - n * math.log(n))
 
 
-def _draws(statistic: Statistic, sizes: Sequence[int]) -> np.ndarray:
-    """Return the statistic [B] of every resample."""
+def _draws(statistic: Statistic, sizes: Sequence[int]) -> tuple[Float[np.ndarray, " B"], Float[np.ndarray, " B"]]:
+    """Return the statistic of every resample, and the resamples' weights."""
     resamples, weights = _resamples(*sizes)
     draws = np.asarray(statistic(*resamples), float)
     if draws.shape != weights.shape:
         raise ValueError(f"a statistic gives one number per resample, {len(weights)} in all, got shape {draws.shape}")
-    return draws
+    return draws, weights
 
 
 def _quantile(draws: np.ndarray, weights: np.ndarray, level: float, n: int) -> float:
@@ -277,7 +276,7 @@ def bootstrap_interval(statistic: Statistic, n: int) -> Interval:
     value = float(statistic(np.arange(n))) if n else np.nan
     if n < 2 or np.isnan(value):
         return Interval(value, np.nan, np.nan, n)
-    draws, (_, weights) = _draws(statistic, (n,)), _resamples(n)
+    draws, weights = _draws(statistic, (n,))
     low, high = (_quantile(draws, weights, level, n) for level in ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2))
     return Interval(value, low, high, n)
 

@@ -4,20 +4,28 @@ The highest BALD scores of a round can belong to images that are alike, and then
 first image says. BatchBALD (Kirsch et al., 2019) scores a batch by the mutual information between all of its labels
 and the weights; power-BALD (Kirsch et al., 2023) perturbs the scores of BALD, which costs nothing.
 
-Each function takes log-probabilities [S, N, C], the size of the batch and a generator, and returns positions. Where
-the draws are the same for every point, the choice is random, with the warning of ``select``.
+Each function takes log-probabilities [S, N, C], the size of the batch and a generator, and returns a ``Selection``.
+Where the draws are the same for every point, the choice is random, with the warning of ``select``.
 """
 
 from collections.abc import Callable
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Generator, Tensor
 
-from dropout_uncertainty.active_learning.acquisition import ACQUISITIONS, agreed, bald, checked, p_log_q, select
+from dropout_uncertainty.active_learning.acquisition import (
+    ACQUISITIONS,
+    Selection,
+    agreed,
+    bald,
+    checked,
+    p_log_q,
+    select,
+)
 
-__all__ = ["BATCH_ACQUISITIONS", "batch_bald", "check_name", "power_bald"]
+__all__ = ["BATCH_ACQUISITIONS", "batch_bald", "check_acquisition", "power_bald"]
 
 #: Joint outcomes of the points chosen so far that are enumerated; beyond that as many are sampled.
 OUTCOMES = 1_000
@@ -27,22 +35,22 @@ CHUNK = 4_000_000
 LEAST = 1e-30
 
 
-def power_bald(log_probs: Float[Tensor, "S N C"], count: int, generator: Generator) -> Int[Tensor, " k"]:
+def power_bald(log_probs: Float[Tensor, "S N C"], count: int, generator: Generator) -> Selection:
     """Return a batch drawn without replacement with probabilities proportional to the scores of BALD.
 
     The highest ``count`` of log BALD plus standard Gumbel noise are such a draw.
     """
     scores = bald(checked(log_probs)).cpu()
     if (scores == 0).all():
-        return select(scores, count, generator).positions
+        return select(scores, count, generator)
     uniform = torch.rand(len(scores), generator=generator, dtype=torch.float64)
     gumbel = -(-uniform.clamp_min(LEAST).log()).log()
-    return select(scores.clamp_min(LEAST).log() + gumbel, count, generator).positions
+    return select(scores.clamp_min(LEAST).log() + gumbel, count, generator)
 
 
 def batch_bald(
     log_probs: Float[Tensor, "S N C"], count: int, generator: Generator, *, outcomes: int = OUTCOMES
-) -> Int[Tensor, " k"]:
+) -> Selection:
     """Return the batch that greedy maximisation of the mutual information I(y₁ … y_k; ω) builds, best first.
 
     The joint entropy of the labels sums over all joint outcomes of the points chosen so far while these are at most
@@ -50,7 +58,7 @@ def batch_bald(
     """
     log_p = log_probs.double()
     if agreed(log_p).all():
-        return select(log_p.new_zeros(log_p.shape[1]), count, generator).positions
+        return select(log_p.new_zeros(log_p.shape[1]), count, generator)
     conditional = -p_log_q(log_p, log_p).sum(-1).mean(0)
     probs, classes = log_p.exp(), log_p.shape[-1]
     joint, weights = probs.new_ones(len(probs), 1), probs.new_ones(1)
@@ -67,7 +75,7 @@ def batch_bald(
             weights = probs.new_ones(joint.shape[1])
         else:
             joint, weights = _sampled(probs[:, chosen], outcomes, generator)
-    return torch.tensor(chosen)
+    return Selection(torch.tensor(chosen), 1, False)
 
 
 def _joint_entropies(
@@ -102,13 +110,13 @@ def _sampled(
 
 
 #: Batch acquisition functions by name.
-BATCH_ACQUISITIONS: dict[str, Callable[[Tensor, int, Generator], Tensor]] = {
+BATCH_ACQUISITIONS: dict[str, Callable[[Tensor, int, Generator], Selection]] = {
     "batch-bald": batch_bald,
     "power-bald": power_bald,
 }
 
 
-def check_name(acquisition: str, learner: Any = None) -> None:
+def check_acquisition(acquisition: str, learner: Any = None) -> None:
     """Raise ValueError unless points can be acquired by that name: "random", a score, or what chooses a batch.
 
     Also for BatchBALD and a learner with draws of its own for each point: then the joint information of points is the

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning import mnist
-from dropout_uncertainty.active_learning.batch_acquisition import check_name
+from dropout_uncertainty.active_learning.batch_acquisition import check_acquisition
 from dropout_uncertainty.active_learning.ensemble import Ensemble
 from dropout_uncertainty.active_learning.loop import acquire
 from dropout_uncertainty.active_learning.network import CLASSES, INITIALISATIONS, BayesianCNN
@@ -88,7 +88,7 @@ class Config:
     def __post_init__(self) -> None:
         """Raise ValueError where a setting cannot be run."""
         tidy(self)
-        check_name(self.acquisition)
+        check_acquisition(self.acquisition)
         if self.approximation not in ("dropout", "softmax", "ensemble"):
             raise ValueError(f"unknown approximation {self.approximation!r}, choose dropout, softmax or ensemble")
         if self.pool_kind not in KINDS:

@@ -21,8 +21,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Generator, Tensor, nn
 
-from dropout_uncertainty.active_learning.acquisition import Selection, agreed, checked, score, select
-from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS, check_name
+from dropout_uncertainty.active_learning.acquisition import Selection, checked, score, select
+from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS, check_acquisition
 from dropout_uncertainty.active_learning.inputs import numbers, whole
 from dropout_uncertainty.active_learning.pools import Pool
 
@@ -69,7 +69,7 @@ def acquire(
         ValueError: if a pool is empty, the acquisition is unknown or cannot do with this learner's draws, or the
             learner returns anything but the log-probabilities of these candidates.
     """
-    check_name(acquisition, learner)
+    check_acquisition(acquisition, learner)
     if isinstance(pools, Pool) or isinstance(generators, Generator) or len(pools) != len(generators):
         raise ValueError("expected one pool and one generator for each replica, in two lists of the same length")
     if len({id(pool) for pool in pools}) < len(pools):
@@ -89,9 +89,7 @@ def acquire(
         choose = BATCH_ACQUISITIONS[acquisition]
         log_probs = torch.cat(list(predictions(learner, torch.stack(offered), draws)), 2)
         selections = [
-            Selection(choose(checked(replica), count, generator), replica.shape[1] if alike else 1, alike)
-            for replica, generator in zip(log_probs, generators, strict=True)
-            for alike in [bool(agreed(replica).all())]  # then there is nothing to choose by
+            choose(checked(replica), count, generator) for replica, generator in zip(log_probs, generators, strict=True)
         ]
     else:
         selections = highest(learner, offered, acquisition, count, draws, generators)

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning.acquisition import checked
-from dropout_uncertainty.active_learning.batch_acquisition import check_name
+from dropout_uncertainty.active_learning.batch_acquisition import check_acquisition
 from dropout_uncertainty.active_learning.inputs import indices, numbers, whole
 from dropout_uncertainty.active_learning.learners import Holder
 from dropout_uncertainty.active_learning.loop import Learner, acquire, predictions
@@ -83,7 +83,7 @@ def simulate(
     Raises:
         ValueError: if the data are not as above, or the checkpoint is damaged or of another simulation.
     """
-    check_name(acquisition, learner)
+    check_acquisition(acquisition, learner)
     count, rounds = whole(count, "the count of points to acquire"), whole(rounds, "the number of rounds", 0)
     draws, seed = whole(draws, "the number of weight draws", 0), whole(seed, "the seed", 0)
     subset = None if subset is None else whole(subset, "the size of the subset")

@@ -300,4 +300,9 @@ def test_where_neither_agent_arrives_no_ratio_is_given():
     rising = np.minimum(low + 0.02 * np.arange(30), 1.1)
     arrives = {name: replace(curves, average=rising) for name, curves in never.items()}
     said = chapter.advantage("recorded", one_world=never, separate_worlds=arrives).markdown
-    assert "takes no known time (neither arrives) in one world and **1.0 [1.0, 1.0]** times as long in separate" in said
+    neither = "not known, since fewer than half of the runs of Thompson sampling and of ε-greedy arrive"
+    assert f"in one world **{neither}**; in separate worlds **1.0 [1.0, 1.0]** (95 % intervals)" in said
+    one = {"thompson": arrives["thompson"], "epsilon-greedy": never["epsilon-greedy"]}
+    assert (
+        "since fewer than half of the runs of ε-greedy arrive" in chapter.advantage("recorded", one_world=one).markdown
+    )

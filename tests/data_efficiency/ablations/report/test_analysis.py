@@ -6,6 +6,7 @@ import pytest
 
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
+from drawn import dots, labelled
 from matplotlib.text import Annotation
 
 from dropout_uncertainty.data_efficiency.ablations import variants
@@ -211,15 +212,6 @@ def test_quick_run_is_held_to_its_bands(tmp_path):
         matters.check_quick(ours, seen, matters.times(tmp_path / "other"))
 
 
-def labelled(ax):
-    return {line.get_label(): line for line in ax.lines if not line.get_label().startswith("_")}
-
-
-def dots(ax, marker="o"):
-    """Return [x, y] of single points, in the order of drawing."""
-    return np.array([line.get_xydata()[0] for line in ax.lines if line.get_marker() == marker])
-
-
 def test_pictures_of_variants_show_the_numbers(tmp_path):
     world(tmp_path)
     found = matters.comparisons(tmp_path)
@@ -285,7 +277,7 @@ def test_pictures_of_the_mechanism_show_the_numbers(tmp_path):
     assert {label: line.get_marker() for label, line in labelled(right).items()} == {
         "by its own account": "s", "on fresh particles": "o",
     }  # fmt: skip
-    np.testing.assert_allclose(dots(right, "s"), [(0.5, 0), (0.48, 1), (0.45, 2)], atol=0.02)
+    np.testing.assert_allclose(dots(right, marker="s"), [(0.5, 0), (0.48, 1), (0.45, 2)], atol=0.02)
     np.testing.assert_allclose(dots(right), [(0.5, 0), (0.55, 1), (0.6, 2)], atol=0.02)
     arrows = [(arrow.xyann[0], arrow.xy[0]) for arrow in right.texts if isinstance(arrow, Annotation)]
     np.testing.assert_allclose(arrows, [(0.5, 0.5), (0.48, 0.55), (0.45, 0.6)], atol=0.02)

@@ -8,6 +8,7 @@ import pytest
 
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
+from drawn import dots, labelled
 
 from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
 from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
@@ -123,16 +124,6 @@ def test_without_records_there_is_nothing_and_the_page_says_so(tmp_path):
         assert getattr(figures, picture)(of) is None
     assert chapter.trusted(empty.pilco).markdown == "*Not run yet: `doubt/pilco-mean`.*"
     assert chapter.choices(empty).markdown == chapter.clouds(empty).markdown == ""
-
-
-def dots(ax, colour=None):
-    """Return [x, y] of the dots of a forest plot, of one colour if it is named, in the order of drawing."""
-    lines = [line for line in ax.lines if line.get_marker() == "o" and colour in {None, line.get_color()}]
-    return np.array([line.get_xydata()[0] for line in lines])
-
-
-def labelled(ax):
-    return {line.get_label(): line for line in ax.lines if not line.get_label().startswith("_")}
 
 
 def test_pictures_show_the_numbers(folder):

@@ -8,6 +8,7 @@ import pytest
 
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
+from drawn import labelled
 from scipy.stats import norm
 
 from dropout_uncertainty import stats
@@ -144,10 +145,6 @@ def test_what_is_missing_is_one_line_and_what_is_there_is_drawn(folder):
     assert chapter.answers(chapter.Runs([], [], {})).markdown == ""
 
 
-def labelled(ax):
-    return {line.get_label(): line.get_ydata() for line in ax.lines if not line.get_label().startswith("_")}
-
-
 def test_pictures_of_texts_and_learners_show_the_numbers(folder):
     found = runs_of(folder)
     train, test = figures.readings(found.languages).axes
@@ -156,7 +153,9 @@ def test_pictures_of_texts_and_learners_show_the_numbers(folder):
         assert set(labelled(ax)) == {LANGUAGES["fresh"], LANGUAGES["held"]}
         for masks in ("fresh", "held"):
             (record,) = records.find("data_efficiency", name=f"hidden/language-{masks}", folder=folder)
-            np.testing.assert_allclose(labelled(ax)[LANGUAGES[masks]], record.arrays[part].mean(0), rtol=1e-5)
+            np.testing.assert_allclose(
+                labelled(ax)[LANGUAGES[masks]].get_ydata(), record.arrays[part].mean(0), rtol=1e-5
+            )
     costs, ever = figures.learning(found.learners).axes
     assert [ax.get_ylabel() for ax in (costs, ever)] == ["mean cost per step", "share of repetitions solved by then"]
     expected = {
@@ -164,7 +163,9 @@ def test_pictures_of_texts_and_learners_show_the_numbers(folder):
         MODELS["lstm-held"]: 0.1045,
         SEEN: 0.0545,
     }  # of the ten seeds that all share
-    assert {label: values.mean() for label, values in labelled(costs).items()} == pytest.approx(expected, abs=1e-5)
+    assert {label: line.get_ydata().mean() for label, line in labelled(costs).items()} == pytest.approx(
+        expected, abs=1e-5
+    )
     assert {line.get_color(): line.get_ydata().tolist() for line in ever.lines} == {
         figures.STYLES[name][0]: [share] * 25 for name, share in (("last-one", 0), ("lstm-held", 1), ("seen", 1))
     }
@@ -193,12 +194,12 @@ def test_pictures_of_predictions_show_the_numbers(folder):
             assert bars.get_label() == MODELS[run.name]
             np.testing.assert_allclose(bars.lines[0].get_ydata(), values.mean((0, 2, 3, 4)))
         for ax, number in zip(over, (0, 1), strict=True):
-            drawn = labelled(ax)[MODELS[run.name]]
+            drawn = labelled(ax)[MODELS[run.name]].get_ydata()
             np.testing.assert_allclose(drawn, log_density[..., number].mean((0, 1, 2)))
         if place < 3:
             drawn = labelled(trials[place])
-            np.testing.assert_array_equal(drawn["predicted, two std"], mean[0, -1, 0, :, 1])
-            np.testing.assert_array_equal(drawn["observed"], true[0, -1, 0, :, 1])
+            np.testing.assert_array_equal(drawn["predicted, two std"].get_ydata(), mean[0, -1, 0, :, 1])
+            np.testing.assert_array_equal(drawn["observed"].get_ydata(), true[0, -1, 0, :, 1])
             edges = trials[place].collections[0].get_paths()[0].vertices[:, 1]
             assert edges.max() == pytest.approx((mean + 2 * std)[0, -1, 0, :, 1].max())
     plt.close("all")

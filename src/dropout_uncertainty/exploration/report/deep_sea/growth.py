@@ -53,9 +53,8 @@ def censored_slopes(
     x = x - x.mean()
     places = indices.reshape(-1, indices.shape[-1])
     places = places + len(x) * np.arange(len(places))[:, None]  # all resamples are counted at once
-    weights = (
-        np.bincount(places.ravel(), minlength=places.shape[0] * len(x)).reshape(*indices.shape[:-1], -1).astype(float)
-    )
+    counts = np.bincount(places.ravel(), minlength=len(places) * len(x))
+    weights = counts.reshape(*indices.shape[:-1], len(x)).astype(float)
     drawn = weights > 0
     known = drawn & exact
     smallest = np.where(drawn, x, np.inf).min(-1)
