@@ -5,9 +5,12 @@ import pytest
 
 from dropout_uncertainty.active_learning.experiment import CONFIGS
 from dropout_uncertainty.active_learning.report.analysis import (
+    EARLY,
+    END,
     against_deterministic,
     load_rows,
     original_rows,
+    paired_error,
     table_settings,
 )
 from dropout_uncertainty.active_learning.report.statements import lowest
@@ -184,6 +187,18 @@ PINNED = {
 def test_published_verdicts_are_what_the_prose_was_written_for():
     found = {name: judge([STATEMENTS[name]])[0].verdict for name in PINNED}
     assert found == PINNED
+
+
+def test_a_fair_comparison_says_what_the_stored_rows_say():
+    rows = load_rows("ours")
+    scores = {"entropy": "dropout/max-entropy", "votes": "dropout/variation-ratios", "bald": "dropout/bald"}
+    early, end = (
+        {name: paired_error(rows[row], rows["softmax/least-confidence"], *acquired) for name, row in scores.items()}
+        for acquired in (EARLY, END)
+    )
+    assert paired_error(rows[scores["votes"]], rows["softmax/max-entropy"], *EARLY).high < 0
+    assert early["votes"].low < 0 < early["votes"].high
+    assert min(found.low for found in (early["entropy"], early["bald"], end["bald"])) > 0
 
 
 def test_verdicts_of_version_1_are_kept():

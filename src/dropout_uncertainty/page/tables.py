@@ -119,7 +119,7 @@ def _origin(records: Sequence[Record]) -> str:
     origins = [record.header["provenance"] for record in records]
     seeds = sorted({seed for record in records for seed in record.header["seeds"]})
     dates = sorted(origin["date"][:10] for origin in origins)
-    commits = dict.fromkeys(_commit(origin) for origin in origins)
+    commits = dict.fromkeys(commit for origin in origins for commit in _commits(origin))
     hours = sum(origin["wall_s"] for origin in origins) / 3600
     parts = [
         f"{'seed' if len(seeds) == 1 else 'seeds'} {_ranges(seeds)}",
@@ -142,10 +142,13 @@ def _details(records: Sequence[Record]) -> str:
     )
 
 
-def _commit(origin: dict[str, Any]) -> str:
-    commits = [sitting["commit"] for sitting in origin.get("commits", [origin])]
-    named = " and ".join(dict.fromkeys(commit[:8] if commit else "unknown" for commit in commits))
-    return named + (" with changes" if origin["dirty"] else "")
+def _commits(origin: dict[str, Any]) -> list[str]:
+    """Return the commits of the sittings of a run, in order."""
+    changed = {True: " with changes", False: "", None: ""}
+    return [
+        (sitting["commit"] or "unknown")[:8] + changed[sitting.get("dirty", origin["dirty"])]
+        for sitting in origin.get("commits", [origin])
+    ]
 
 
 def _ranges(numbers: Sequence[int]) -> str:
