@@ -173,6 +173,18 @@ def test_the_configs_say_what_they_follow():
     assert len(units("ours/random", [0, 1], device="cuda")) == 1
 
 
+def test_early_runs_are_the_beginning_of_those_of_ours(process):
+    for name in ("random", "dropout/variation-ratios"):
+        ours, early = CONFIGS[f"ours/{name}"], CONFIGS[f"early/{name}"]
+        assert replace(early, rounds=ours.rounds, mc_test_every=ours.mc_test_every) == ours
+        assert early.rounds * early.acquired == 400
+        small = replace(TINY, acquisition=ours.acquisition, mc_test_every=ours.mc_test_every and 1)
+        whole = finish(process(small))
+        begun = finish(process(replace(small, rounds=2, mc_test_every=0)))
+        np.testing.assert_array_equal(begun["error"], whole["error"][:, :3])
+        np.testing.assert_array_equal(begun["points"], whole["points"][:, : begun["points"].shape[1]])
+
+
 @pytest.mark.parametrize("change", [{"acquisition": "entropy"}, {"approximation": "mc"}, {"epochs": 0}, {"subset": 0}])
 def test_impossible_settings_are_refused(change):
     with pytest.raises(ValueError, match=next(iter(change)).replace("approximation", "approximation|acquisition")):

@@ -8,6 +8,7 @@ from dropout_uncertainty.active_learning.report.analysis import (
     EARLY,
     END,
     against_deterministic,
+    early_rows,
     load_rows,
     original_rows,
     paired_error,
@@ -33,6 +34,7 @@ def write_row(folder, name, end, seed, *, tied=False, family="ours"):
     labels = np.arange(20, 1001, 10, dtype=np.int32)
     noise = 0.02 * np.random.default_rng([seed, len(name)]).standard_normal(99)
     error = (end + 30 * np.exp(-(labels - 20) / (60 * end)) + noise)[None].astype(np.float32)
+    labels, error = labels[: config["rounds"] + 1], error[:, : config["rounds"] + 1]
     arrays = {
         "labels": labels, "error": error, "mc_error": error - 0.1, "all_tied": np.full((1, 98), tied),
         "tied": np.ones((1, 98), np.int32), "points": np.arange(1000, dtype=np.int32)[None],
@@ -84,6 +86,19 @@ def test_four_repetitions_and_none_are_untested_and_say_so(tmp_path):
     (tmp_path / "none").mkdir()
     (found,) = judge([STATEMENTS["AL3b"]], tmp_path / "none")
     assert (found.verdict, found.why) == ("untested", "no records yet")
+
+
+def test_runs_that_end_early_count_where_no_more_is_asked(tmp_path):
+    folder = world(tmp_path)
+    for name in ("random", "dropout/variation-ratios"):
+        for seed in range(4, 20):  # two of them are in both families
+            write_row(folder, name, ENDS[name], seed, family="early")
+    early, late = judge([STATEMENTS["AL5b"], STATEMENTS["AL5e"]], folder)
+    assert (early.verdict, early.measured.difference.n, late.measured.difference.n) == ("supported", 20, 6)
+    rows = early_rows(folder)
+    assert (rows["random"].error.shape, rows["random"].labels[-1]) == ((20, 41), 420)
+    assert sorted(rows["random"].seeds) == list(range(20))
+    assert rows["dropout/bald"].error.shape == (6, 41)
 
 
 def test_an_error_of_5_percent_that_is_never_reached_is_beyond_the_last_acquisition(tmp_path):

@@ -23,9 +23,9 @@ from dropout_uncertainty.stats import (
 )
 
 __all__ = [
-    "EARLY", "END", "LABELS", "Row", "against_deterministic", "check_quick", "from_records", "load_rows",
-    "original_rows", "paired", "paired_curves", "paired_error", "results", "share_tied", "table_5_1", "table_5_2",
-    "table_settings",
+    "EARLY", "END", "LABELS", "Row", "against_deterministic", "check_quick", "early_rows", "from_records",
+    "load_rows", "original_rows", "paired", "paired_curves", "paired_error", "results", "share_tied", "table_5_1",
+    "table_5_2", "table_settings",
 ]  # fmt: skip
 
 #: How each row is called in tables and figures.
@@ -113,6 +113,26 @@ def load_rows(family: str = "ours", folder: Path | None = None, *, published: bo
         if found:
             rows[name] = from_records(name, config, found)
     return rows
+
+
+def early_rows(folder: Path | None = None) -> dict[str, Row]:
+    """Return the rows of "ours" up to 400 acquired points, with the repetitions that ended there ("early")."""
+    rows, ended = load_rows("ours", folder), load_rows("early", folder)
+    return {name: _ended(row, ended.get(name)) for name, row in rows.items()}
+
+
+def _ended(row: Row, short: Row | None) -> Row:
+    last = int((row.labels <= row.labels[0] + EARLY[1]).sum())
+    begun = replace(row, labels=row.labels[:last], error=row.error[:, :last])
+    if short is None:
+        return begun
+    new = [place for place, seed in enumerate(short.seeds) if seed not in row.seeds]
+    return replace(
+        begun,
+        error=np.concatenate([begun.error, short.error[new]]),
+        seeds=(*row.seeds, *(short.seeds[place] for place in new)),
+        records=(*row.records, *short.records),
+    )
 
 
 def from_records(name: str, config: str, found: Sequence[Record]) -> Row:

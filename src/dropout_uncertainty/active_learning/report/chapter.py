@@ -8,8 +8,6 @@ from dropout_uncertainty.active_learning.report.statements import STATEMENTS
 from dropout_uncertainty.page.profiles import computed
 from dropout_uncertainty.page.tables import Words
 
-#: The rows of statement AL5b, which is a primary one and waits for twenty repetitions.
-PRIMARY = ("random", "dropout/variation-ratios")
 #: Those on pools that have twenty repetitions; the others have ten.
 TWENTY = {
     f"pools/{kind}/{row}"
@@ -21,13 +19,9 @@ TWENTY = {
 def rows(profile: str) -> dict[str, Row]:
     """Return the rows of Tables 5.1 and 5.2, and others on the same pool; in ``quick`` short runs, checked."""
     quick = [unit for row in ROWS for unit in units(f"quick/{row}", [100])]
-    full = [
-        unit
-        for seed in range(20)
-        for row in ROWS
-        if seed < 10 or row in PRIMARY
-        for unit in units(f"ours/{row}", [seed])
-    ]
+    names = [name for name in CONFIGS if name.startswith("early/")]  # of a primary statement, hence twenty
+    full = [unit for seed in range(10) for row in ROWS for unit in units(f"ours/{row}", [seed])]
+    full += [unit for seed in range(10, 20) for name in names for unit in units(name, [seed])]
     with computed(profile, quick, full) as folder:
         if folder is None:
             return analysis.load_rows("ours")

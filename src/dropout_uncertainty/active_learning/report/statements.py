@@ -18,6 +18,7 @@ from dropout_uncertainty.active_learning.report.analysis import (
     LABELS,
     THRESHOLD,
     Row,
+    early_rows,
     load_rows,
     original_rows,
     paired,
@@ -122,7 +123,7 @@ def of_table(identifier: str, table: str, name: str) -> Statement:
 
 def curves(first: str, second: str, acquired: tuple[int, int], folder: Path | None, family: str = "ours") -> Measured:
     """Return the test error of one row less that of another, paired by seed."""
-    rows = load_rows(family, folder)
+    rows = early_rows(folder) if family == "ours" and acquired[1] <= EARLY[1] else load_rows(family, folder)
     one, two = (needed(rows.get(name)) for name in (first, second))
     return on_average(apart(methodcaller("mean", acquired), one, two), [*one.records, *two.records])
 
