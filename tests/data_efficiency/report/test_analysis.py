@@ -5,6 +5,7 @@ from dataclasses import asdict
 import matplotlib
 import numpy as np
 import pytest
+from scipy import stats
 
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
@@ -231,6 +232,19 @@ def test_a_step_predicted_well_is_one_whose_tip_is_within_the_width_of_the_cost(
     _, difference = analysis.excess_on_predictable(found, [2])
     np.testing.assert_allclose(difference[0], with_doubt[0, well].sum() - sure[0, well].sum())
     assert 0 < well.sum() < STEPS
+
+
+def test_at_equal_times_the_ranks_have_lost_what_time_says_of_them(monkeypatch):
+    generator, steps = np.random.default_rng(0), np.arange(1.0, STEPS + 1)
+    doubt = np.stack([generator.random(STEPS) + steps / STEPS, steps])  # the second only grows
+    shares = 20 * generator.random((2, 2, STEPS)) + steps
+    monkeypatch.setattr(analysis, "doubt_and_gradient", lambda *_: (doubt, shares[0], shares[1]))
+    found = analysis.at_equal_times(learning([3] * 2), [2])
+    for name, share in (("share itself", shares[0, 0]), ("share against that without uncertainty", None)):
+        ranks = [stats.rankdata(x) for x in (doubt[0], shares[0, 0] / shares[1, 0] if share is None else share)]
+        left = [r - np.polyval(np.polyfit(steps, r, 1), steps) for r in ranks]
+        assert found[name][0] == pytest.approx(np.corrcoef(*left)[0, 1])
+        assert np.isnan(found[name][1])
 
 
 def test_tables_have_a_cell_for_every_head(tmp_path):

@@ -91,7 +91,7 @@ def test_the_answer_follows_the_seas():
     assert "can explore" not in level
     assert "is still open" in answers.exploration({"EX9": judged("EX9", None)}, {})
     late = answers.answer({"EX3c": judged("EX3c", about(-0.1, 0.01))}, "EX3c")
-    assert late.endswith("it does worse.")
+    assert late.endswith("it earns less.")
 
 
 def test_what_priors_add_is_said_where_both_ensembles_have_run():

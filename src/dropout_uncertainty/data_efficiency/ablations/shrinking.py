@@ -1,6 +1,6 @@
 """The shrinking cloud: what refitting a Gaussian to few particles leaves of the spread that is planned with.
 
-Lines 9 to 11 of the thesis's algorithm 4 fit a Gaussian to K particles, dividing by K, and draw K new ones. Each time
+Lines 10 and 11 of the thesis's algorithm 4 fit a Gaussian to K particles, dividing by K, and draw K new ones. Each time
 the expected variance falls to 1 - 1/K of what it was, unless the noise of the new particles is standardised. Measured
 in three learners after their first trials, with the policy that is about to be tried: variance of the cloud of K
 particles, with plain and with standardised noise, beside that of so many particles that nothing is lost.

@@ -24,11 +24,10 @@ from dropout_uncertainty.settings import config_diff
 from dropout_uncertainty.stats import Interval, in_words, median_interval, share_interval, t_interval
 
 __all__ = [
-    "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "check_quick", "check_quick_deep", "cpu_seconds",
-    "doubt_and_gradient",
-    "excess_on_predictable", "fitting_table", "from_arrays", "from_records", "load", "original", "repeats", "results",
-    "run_time_table", "search_table", "share_solved", "solved_table", "steps_held",
-    "steps_predicted", "time_table",
+    "LABELS", "LATER", "PANELS", "TRIALS", "Learning", "at_equal_times", "check_quick", "check_quick_deep",
+    "cpu_seconds", "doubt_and_gradient", "excess_on_predictable", "fitting_table", "from_arrays", "from_records",
+    "load", "original", "repeats", "results", "run_time_table", "search_table", "share_solved", "solved_table",
+    "steps_held", "steps_predicted", "time_table",
 ]  # fmt: skip
 
 #: How each config is called in figures and tables; those of Figure 5.7 first.
@@ -260,6 +259,28 @@ def excess_on_predictable(learning: Learning, trials: Sequence[int] = LATER) -> 
         well = doubt * learning.plant.pole_length < learning.plant.cost_width
         differences.append(((with_doubt - sure) * well).sum(1))
     return np.mean(correlations, 0), np.mean(differences, 0)
+
+
+def at_equal_times(learning: Learning, trials: Sequence[int] = LATER) -> dict[str, Float[np.ndarray, " R"]]:
+    """Return rank correlations over steps with the time step held fixed, means over ``trials``; each [R].
+
+    Doubt grows with time within a trial. Of predicted doubt with the ratio of ``excess_on_predictable``, and with the
+    share that a step has in the gradient itself; a trial whose doubt only grows says nothing and is left out.
+    """
+    found: dict[str, list[np.ndarray]] = {"share against that without uncertainty": [], "share itself": []}
+    for trial in (t for t in trials if t <= learning.trials):
+        doubt, with_doubt, sure = doubt_and_gradient(learning, trial)
+        for name, share in zip(found, (with_doubt / np.maximum(sure, np.finfo(float).tiny), with_doubt), strict=True):
+            found[name].append(np.array([_partial_rank_correlation(*pair) for pair in zip(doubt, share, strict=True)]))
+    return {name: np.ma.masked_invalid(values).mean(0).filled(np.nan) for name, values in found.items()}
+
+
+def _partial_rank_correlation(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " T"]) -> float:
+    """Return the rank correlation with the place held fixed; NaN where one of the two only grows or only falls."""
+    columns = np.stack((np.arange(len(first)), first, second), 1)
+    (_, one, two), (_, _, both), _ = scipy_stats.spearmanr(columns).statistic
+    rest = (1 - one**2) * (1 - two**2)
+    return float((both - one * two) / rest**0.5) if rest > 1e-12 else np.nan
 
 
 def repeats(learning: Learning, trial: int) -> Float[np.ndarray, "R M times 4"]:

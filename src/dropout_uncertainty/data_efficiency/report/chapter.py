@@ -96,7 +96,7 @@ def plants() -> tuple[list[str], list[list[object]]]:
         "largest force [N]": "force_limit",
         "width of the cost [m]": "cost_width",
     }
-    heads = ["", "`paper`: as in the Deep PILCO paper", "`matlab`: as in PILCO's own code"]
+    heads = ["", "`paper`: as re-implementations of Deep PILCO, with noise", "`matlab`: as in PILCO's own code"]
     return heads, [[words, *(getattr(plant, name) for plant in PRESETS.values())] for words, name in fields.items()]
 
 

@@ -56,9 +56,9 @@ COMPARED = {
     "EX7a": Compared(f"with dropout in learning, {DRAW}", "one that acts on the mean of the same weights"),
     "EX7b": Compared("among agents that act on the mean, one that learns with dropout", "one that learns without"),
     "EX7c": Compared(f"without dropout in learning, {DRAW}", "one that acts on the mean"),
-    "EX7d": Compared("the thesis's agent, which learns with dropout and acts on a draw,", "one that does neither"),
-    "EX7e": Compared("the thesis's agent", "ε-greedy"),
-    "EX7f": Compared("the thesis's agent", "ε-greedy with a schedule ten times shorter"),
+    "EX7d": Compared("the Thompson agent, which learns with dropout and acts on a draw,", "one that does neither"),
+    "EX7e": Compared("the Thompson agent", "ε-greedy"),
+    "EX7f": Compared("the Thompson agent", "ε-greedy with a schedule ten times shorter"),
     "EX7g": Compared(HOLDS.format("10"), FRESH),
     "EX7h": Compared(HOLDS.format("100"), FRESH),
     "EX7i": Compared(HOLDS.format("1,000"), FRESH),
@@ -120,8 +120,8 @@ def found(dives: Seas, size: int, episodes: int = HORIZON) -> str:
 READINGS: dict[str, dict[Verdict, str]] = {
     "EX3c": {
         "supported": "So the draws are what holds the agent back, as the footnote says.",
-        "contradicted": "So it is not its draws that hold the agent back: without them, late, it does worse.",
-        "no difference": "So it is not its draws that hold the agent back: without them, late, it does as well.",
+        "contradicted": "So in this time it is not its draws that hold the agent back: without them it earns less.",
+        "no difference": "So in this time it is not its draws that hold the agent back: without them it earns as much.",
         "inconclusive": "So the footnote's reason stays open.",
         "untested": "So the footnote's reason stays open.",
     },

@@ -201,7 +201,7 @@ def curves_of_cells(ax: Axes, cells: Mapping[str, Curves], names: Sequence[str],
 
 
 def masks_off(ax: Axes, cells: Mapping[str, Curves]) -> Axes:
-    """Draw what becomes of the thesis's agent when its masks are switched off while it acts, beside ε-greedy."""
+    """Draw what becomes of the Thompson agent when its masks are switched off while it acts, beside ε-greedy."""
     curves_of_cells(ax, cells, ("dropout-draw", "masks-off-late", "epsilon-greedy"))
     switched = two_by_two.LATE[0]
     if any(curves.ticks[-1] > switched for curves in cells.values()):

@@ -285,7 +285,7 @@ STATEMENTS: list[Statement] = [
     cut("EX7b", "An agent that learns with dropout earns more than one that learns without.", TEXT,
         "dropout-mean", "plain-mean", primary=True),
     cut("EX7c", "Acting on a draw helps an agent that learned without dropout.", TEXT, "plain-draw", "plain-mean"),
-    cut("EX7d", "The thesis's agent earns more than one with neither.", TEXT, "dropout-draw", "plain-mean"),
+    cut("EX7d", "The Thompson agent earns more than one with neither.", TEXT, "dropout-draw", "plain-mean"),
     cut("EX7e", "It earns more than ε-greedy, ticks 3,000 to 50,000.", TEXT, "dropout-draw", "epsilon-greedy"),
     cut("EX7f", "It earns more than ε-greedy whose schedule is ten times shorter.", TEXT, "dropout-draw",
         "epsilon-greedy-short"),

@@ -62,12 +62,12 @@ def minus(text: str, first: str, second: str, ticks: tuple[int, int] = EARLY) ->
     return Contrast(text, {first: 1.0, second: -1.0}, ticks)
 
 
-#: The thesis's agent is dropout-draw. Statement EX7a is "acting", EX7b "learning": from it to an agent without either,
+#: The Thompson agent is dropout-draw. Statement EX7a is "acting", EX7b "learning": from it to an agent without either,
 #: one change at a time. EX3c is "masks-off".
 CONTRASTS: dict[str, Contrast] = {
     "acting": minus("a draw - the mean, learning with dropout", "dropout-draw", "dropout-mean"),
     "learning": minus("learning with dropout - without, acting on the mean", "dropout-mean", "plain-mean"),
-    "both": minus("the thesis's agent - the one without either", "dropout-draw", "plain-mean"),
+    "both": minus("the Thompson agent - the one without either", "dropout-draw", "plain-mean"),
     "acting-plain": minus("a draw - the mean, learning without dropout", "plain-draw", "plain-mean"),
     "learning-draw": minus("learning with dropout - without, acting on a draw", "dropout-draw", "plain-draw"),
     "acting-average": Contrast(
@@ -79,8 +79,8 @@ CONTRASTS: dict[str, Contrast] = {
         {"dropout-draw": 0.5, "dropout-mean": 0.5, "plain-draw": -0.5, "plain-mean": -0.5},
     ),
     **{f"hold-{h}": minus(f"a draw held for {h:,} ticks - for one", HELD[h], "dropout-draw") for h in (10, 100, 1000)},
-    "long-schedule": minus("the thesis's agent - ε-greedy", "dropout-draw", "epsilon-greedy"),
-    "short-schedule": minus("the thesis's agent - ε-greedy, short schedule", "dropout-draw", "epsilon-greedy-short"),
+    "long-schedule": minus("the Thompson agent - ε-greedy", "dropout-draw", "epsilon-greedy"),
+    "short-schedule": minus("the Thompson agent - ε-greedy, short schedule", "dropout-draw", "epsilon-greedy-short"),
     "masks-off": minus("masks off while acting - on", "masks-off-late", "dropout-draw", LATE),
     "masks-off-epsilon-greedy": minus("masks off while acting - ε-greedy", "masks-off-late", "epsilon-greedy", LAST),
 }
@@ -169,7 +169,7 @@ def changes() -> tuple[list[str], list[list[object]]]:
         own = config_diff(base.agents[0], config.agents[0])
         shared = [line for line in config_diff(base, config) if line[0] != "agents"]
         lines += [[LABELS[name.removeprefix(f"{FAMILY}/")], *line] for line in [*own, *shared]]
-    return ["agent", "field", "agent of the thesis", "here"], lines
+    return ["agent", "field", "Thompson agent", "here"], lines
 
 
 def cell_table(cells: Mapping[str, Curves]) -> tuple[list[str], list[list[object]]]:

@@ -20,7 +20,7 @@ from dropout_uncertainty.judging.statements import judge
 from dropout_uncertainty.page import plotting
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.settings import config_dict, config_hash
-from dropout_uncertainty.stats import difference_of_shares, paired_difference, t_interval
+from dropout_uncertainty.stats import difference_of_shares, in_words, paired_difference, t_interval
 
 RUNS, STEPS = 40, PAPER.steps
 rng = np.random.default_rng(100)
@@ -198,6 +198,9 @@ def test_sentences_show_the_numbers(folder):
     text = chapter.answers(found).markdown
     assert "**PILCO, planned on its mean** costs more" in text
     assert "**ensemble in the place of dropout** costs less" in text
+    by = {pair.name: pair.first.trial_costs[:10, 1:21].mean(1) for pair in found.pairs}
+    more = in_words(paired_difference(by["mean-network"], by["no-dropout"]))
+    assert f"Beside no dropout at all, **Deep PILCO, planned on the mean network** costs {more} more" in text
     assert "In both directions: matching." in chapter.choices(found).markdown
     assert "0.10 [0.10, 0.10] with plain noise" in chapter.clouds(found).markdown
     assert "has 0.50 [0.50, 0.50] times the norm" in chapter.grown(found.estimates).markdown

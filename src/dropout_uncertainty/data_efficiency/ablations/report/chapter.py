@@ -203,11 +203,11 @@ def clouds(seen: Inside, pilco: Learning | None) -> Words:
     beside = f"; PILCO {matters.coverage_of_pilco(pilco, seen.measured).mean():.0%}" if pilco else ""
     return Words(
         f"**Plainly:** where particles are free, holding the masks makes the prediction of the later half of the "
-        f"trial {ratio['free']} times as wide as redrawing them. Under algorithm 4, with matching, what is left of "
-        f"that is a factor of {ratio['matched']}; 1 would mean that holding the masks does nothing there. Of the true "
-        f"states {matters.NOMINAL:.1%} should lie within two standard deviations. There were: masks held and free "
-        f"{hit['held-free']}, held and matched {hit['held-matched']}, redrawn and free {hit['redrawn-free']}, redrawn "
-        f"and matched {hit['redrawn-matched']}{beside}."
+        f"trial {ratio['free']} times as wide as redrawing them. With the moments of all dimensions matched, what is "
+        f"left of that is a factor of {ratio['matched']}; 1 would mean that holding the masks does nothing there. Of "
+        f"the true states {matters.NOMINAL:.1%} should lie within two standard deviations. There were: masks held and "
+        f"free {hit['held-free']}, held and matched {hit['held-matched']}, redrawn and free {hit['redrawn-free']}, "
+        f"redrawn and matched {hit['redrawn-matched']}{beside}."
     )
 
 

@@ -10,7 +10,7 @@ from dropout_uncertainty.data_efficiency import configs
 from dropout_uncertainty.data_efficiency.ablations import doubt, gradients, literal, mchutchon, shrinking
 from dropout_uncertainty.data_efficiency.ablations.gradients import ESTIMATES
 from dropout_uncertainty.data_efficiency.ablations.mchutchon import ParticlePilcoConfig
-from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, factor
+from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, factor, pair
 from dropout_uncertainty.data_efficiency.ablations.report.chapter import TINY
 from dropout_uncertainty.data_efficiency.ablations.report.worth import analysis as worth
 from dropout_uncertainty.data_efficiency.ablations.report.worth.analysis import PAIRS, Cloud, Estimates, coverage
@@ -154,6 +154,11 @@ def answers(found: Runs) -> Words:
         f"{x.first.trials} trials, {len(x.first.seeds)} pairs with {x.second.label}."
         for x in found.pairs
     ]
+    by = {x.name: x.first for x in found.pairs}
+    if {"mean-network", "no-dropout"} <= by.keys():
+        name = PAIRS["mean-network"]
+        if both := pair(name, by["mean-network"], by["no-dropout"], worth.LONGEST):
+            lines.append(f"- Beside no dropout at all, **{name}** costs {in_words(both.cost_difference)} more.")
     return Words("\n".join(lines))
 
 
