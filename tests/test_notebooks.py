@@ -85,8 +85,16 @@ def test_cells_that_draw_are_a_call(path):
 def test_cells_do_not_branch_on_the_profile(path):
     """What a profile computes and shows is one call; a cell only hands the profile on."""
     for cell in code_cells(path):
-        compared = [node.left for node in ast.walk(ast.parse(cell.source)) if isinstance(node, ast.Compare)]
-        names = [ast.unparse(left) for left in compared]
+        asked: list[ast.AST] = []
+        for node in ast.walk(ast.parse(cell.source)):
+            match node:
+                case ast.Compare():
+                    asked += [node.left, *node.comparators]
+                case ast.Match():
+                    asked.append(node.subject)
+                case ast.Subscript(value=ast.Dict()):
+                    asked.append(node.slice)
+        names = [ast.unparse(part) for part in asked]
         assert "profile" not in names, f"{path.name} branches on the profile: {cell.source.splitlines()[0]}"
 
 

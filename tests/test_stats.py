@@ -37,6 +37,11 @@ def test_what_is_not_known_is_no_finding():
         stats.t_interval(np.zeros((2, 3)))
 
 
+def test_what_was_not_measured_before_a_crossing_stays_unknown():
+    curves = np.array([[9, np.nan, 9, 4, 3, 2.0]] * 5)
+    assert [np.isnan(stats.crossing_interval(curves, 5.0, width=width).value) for width in (1, 3)] == [True, True]
+
+
 def test_median_filter_removes_a_single_dip():
     curve = np.array([9.0, 8, 2, 8, 7, 6, 6, 6])
     assert stats.median_filter(curve, 5).min() >= 6

@@ -145,7 +145,7 @@ def _seconds(unit: Unit, until: float) -> dict[str, Any]:
     measured = {"config": unit.name, "replicas": len(unit.seeds)}
     if time.time() >= until:
         return {**measured, "seconds": None}
-    process = unit.start(unit.config, unit.seeds, device=unit.device, precision=unit.precision)
+    process = unit.process()
     process.advance()
     _wait(unit.device)
     begin = time.perf_counter()

@@ -293,16 +293,20 @@ def first_crossings(curves: np.ndarray, threshold: float, *, above: bool = False
 
 
 def median_filter(curve: np.ndarray, width: int) -> np.ndarray:
-    """Return the centred running median over ``width`` points along the last axis; the ends repeat their value."""
+    """Return the centred running median over ``width`` points along the last axis; the ends repeat their value.
+
+    NaN stays NaN, and counts as larger than any number for the points beside it.
+    """
     curve = np.asarray(curve, float)
-    return ndimage.median_filter(curve, size=(1,) * (curve.ndim - 1) + (width,), mode="nearest")
+    smooth = ndimage.median_filter(curve, size=(1,) * (curve.ndim - 1) + (width,), mode="nearest")
+    return np.where(np.isnan(curve), np.nan, smooth)
 
 
-def crossing_interval(curves: np.ndarray, threshold: float, *, width: int = 1, above: bool = False) -> Interval:
+def crossing_interval(curves: np.ndarray, threshold: float, *, width: int = 1) -> Interval:
     """Return the first crossing of the mean of ``curves`` [R, T], smoothed by a median of ``width`` points."""
 
     def crossing(indices: np.ndarray) -> np.ndarray:
-        return first_crossings(median_filter(curves[indices].mean(-2), width), threshold, above=above)
+        return first_crossings(median_filter(curves[indices].mean(-2), width), threshold)
 
     return bootstrap_interval(crossing, len(curves))
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.active_learning.acquisition import score
+from dropout_uncertainty.active_learning.acquisition import score, select
 from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS, batch_bald, power_bald
 
 
@@ -70,6 +70,28 @@ def test_a_batch_is_of_different_points_and_a_function_of_the_generator(name, dr
     assert len(batch.unique()) == 5
     assert torch.equal(batch, choose(draws, 5, rng.generator(100)).positions)
     assert len(choose(draws, 9, rng.generator(100)).positions) == 6
+
+
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_batch_bald_counts_ties_as_scores_do(draws):
+    copies = draws[:, :1].expand(-1, 6, -1)
+    batch, single = batch_bald(copies, 2, rng.generator(100)), select(score("bald", copies), 2, rng.generator(100))
+    assert (single.tied, single.all_tied, batch.all_tied) == (6, True, True)
+    assert batch.tied == 5  # of those left by the second
+    assert not batch_bald(draws, 3, rng.generator(100)).all_tied
+
+
+def test_a_batch_of_hundreds_does_not_underflow():
+    log_probs = (10 * torch.ones(10) + 0.1 * torch.randn(20, 400, 10, generator=rng.generator(100))).log_softmax(-1)
+    assert len(batch_bald(log_probs, 400, rng.generator(100), outcomes=100).positions.unique()) == 400
+
+
+@pytest.mark.parametrize("name", BATCH_ACQUISITIONS)
+def test_batches_refuse_what_single_scores_refuse(name, draws):
+    with pytest.raises(ValueError, match="sum to 1"):
+        BATCH_ACQUISITIONS[name](draws + 1, 2, rng.generator(100))
+    with pytest.raises(ValueError, match="the count of points to choose"):
+        BATCH_ACQUISITIONS[name](draws, 0, rng.generator(100))
 
 
 @pytest.mark.parametrize("name", BATCH_ACQUISITIONS)

@@ -8,7 +8,7 @@ import torch
 
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration import agent, experiment
-from dropout_uncertainty.exploration.experiment import AS_DEMO, CONFIGS, WIDE, AgentConfig, Config, start
+from dropout_uncertainty.exploration.experiment import AS_DEMO, CONFIGS, WIDE, AgentConfig, start
 from dropout_uncertainty.exploration.foraging import world
 from dropout_uncertainty.runs import execute, records
 from dropout_uncertainty.runs.unit import Unit
@@ -42,10 +42,11 @@ def run(process, steps=None):
     return process
 
 
+@pytest.mark.parametrize("steps", [0, 2])
 @pytest.mark.parametrize("config", [SMALL, MIXED, HELD], ids=["as-demo", "mixed", "held"])
-def test_a_resumed_run_ends_with_the_same_arrays(config, tmp_path):
+def test_a_resumed_run_ends_with_the_same_arrays(config, steps, tmp_path):
     whole = run(start(config, (100, 101))).result()
-    interrupted = run(start(config, (100, 101)), 2)
+    interrupted = run(start(config, (100, 101)), steps)
     torch.save(interrupted.state(), tmp_path / "state.pt")
     resumed = start(config, (100, 101))
     resumed.restore(torch.load(tmp_path / "state.pt", weights_only=True))
@@ -300,4 +301,3 @@ def test_bad_arguments_are_refused():
         experiment.units("as-dreamt")
     with pytest.raises(ValueError, match="at least one, got 0"):
         world.World(np.zeros((1, 30, 3)), agents=0)
-    assert isinstance(SMALL, Config)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import toy
 
 from dropout_uncertainty.runs import checkpoints, execute, records, unit
@@ -262,7 +263,7 @@ def test_devices_and_precisions():
         check_device("tpu")
     with pytest.raises(RunError, match="unknown precision"):
         precision_dtype("float16")
-    if not execute.torch.cuda.is_available():
+    if not torch.cuda.is_available():
         with pytest.raises(RunError, match="no CUDA GPU"):
             check_device("cuda")
 

@@ -90,7 +90,7 @@ def test_a_change_of_the_code_that_rounds_otherwise_is_forgiven_too(record, monk
     assert comparison.elsewhere == ["rounding 1 there, 2 here"]
 
 
-@pytest.mark.skipif(execute.torch.cuda.is_available(), reason="there is a GPU")
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_sittings_with_other_numbers_of_threads_round_otherwise(record):
     path = record.arrays["path"] + 1e-12
     sittings = [{**record.header["provenance"]["commits"][0], "threads": threads} for threads in (2, 1)]

@@ -24,6 +24,7 @@ from dropout_uncertainty.active_learning.acquisition import (
     p_log_q,
     select,
 )
+from dropout_uncertainty.active_learning.inputs import whole
 
 __all__ = ["BATCH_ACQUISITIONS", "batch_bald", "check_acquisition", "power_bald"]
 
@@ -56,34 +57,37 @@ def batch_bald(
     The joint entropy of the labels sums over all joint outcomes of the points chosen so far while these are at most
     ``outcomes``; beyond that it is estimated from as many sampled outcomes. Equal scores fall in random order.
     """
-    log_p = log_probs.double()
+    log_p, count = checked(log_probs), whole(count, "the count of points to choose")
     if agreed(log_p).all():
         return select(log_p.new_zeros(log_p.shape[1]), count, generator)
     conditional = -p_log_q(log_p, log_p).sum(-1).mean(0)
     probs, classes = log_p.exp(), log_p.shape[-1]
     joint, weights = probs.new_ones(len(probs), 1), probs.new_ones(1)
     chosen: list[int] = []
+    picks: list[Selection] = []
     for _ in range(min(count, log_p.shape[1])):
         gains = _joint_entropies(joint, weights, probs) - conditional
         left = torch.ones(len(gains), dtype=torch.bool)
         left[chosen] = False
         candidates = left.nonzero().flatten()
-        best = int(candidates[select(gains.cpu()[candidates], 1, generator).positions])
+        picks.append(select(gains.cpu()[candidates], 1, generator))
+        best = int(candidates[picks[-1].positions])
         chosen.append(best)
         if joint.shape[1] * classes <= outcomes:
             joint = (joint[:, :, None] * probs[:, best, None, :]).flatten(1)
             weights = probs.new_ones(joint.shape[1])
         else:
             joint, weights = _sampled(probs[:, chosen], outcomes, generator)
-    return Selection(torch.tensor(chosen), 1, False)
+    return Selection(torch.tensor(chosen), picks[-1].tied, all(pick.all_tied for pick in picks))
 
 
 def _joint_entropies(
     joint: Float[Tensor, "S M"], weights: Float[Tensor, " M"], probs: Float[Tensor, "S N C"]
 ) -> Float[Tensor, " N"]:
-    """Return H[y₁ … y_k, y] in nats for each candidate y.
+    """Return H[y₁ … y_k, y] in nats for each candidate y, up to a constant where outcomes are sampled.
 
-    ``joint`` holds the probabilities of outcomes of y₁ … y_k under each draw, ``weights`` what each outcome counts.
+    ``joint`` holds the probabilities of outcomes of y₁ … y_k under each draw, each outcome up to a factor, ``weights``
+    what each outcome counts.
     """
     draws, _, classes = probs.shape
     parts = []
@@ -96,16 +100,20 @@ def _joint_entropies(
 def _sampled(
     probs: Float[Tensor, "S k C"], outcomes: int, generator: Generator
 ) -> tuple[Float[Tensor, "S M"], Float[Tensor, " M"]]:
-    """Return joint probabilities [S, M] of outcomes sampled from the predictive distribution, and their weights."""
+    """Return joint probabilities [S, M] of outcomes sampled from the predictive distribution, and their weights.
+
+    Those of an outcome are relative to the largest: products of hundreds of probabilities would underflow.
+    """
     draws = len(probs)
     per_draw = -(-outcomes // draws)
     # Every draw gives as many outcomes; labels are independent given a draw.
     labels = torch.multinomial(
         probs.flatten(0, 1).cpu(), per_draw, replacement=True, generator=generator
     ).view(draws, -1, per_draw).permute(1, 0, 2).flatten(1)  # fmt: skip
-    joint = probs.new_ones(draws, draws * per_draw)
+    log_joint = probs.new_zeros(draws, draws * per_draw)
     for point, outcome in enumerate(labels.to(probs.device)):
-        joint = joint * probs[:, point, outcome]
+        log_joint += probs[:, point, outcome].log()
+    joint = (log_joint - log_joint.amax(0)).exp()
     return joint, 1 / (joint.shape[1] * joint.mean(0))
 
 

@@ -64,6 +64,7 @@ class Agent:
         # as the memories fill and forget at the same pace, both hold transitions of the same ages
         self.held_out = memory(capacity=config.held_out_size) if config.held_out_every else None
         self.current = torch.zeros(replicas, STATE_SIZE + C, dtype=dtype).numpy()
+        self.action, self.reward = np.zeros(replicas, np.int64), np.zeros(replicas)  # nothing done yet
         self.minibatch = torch.zeros(replicas, 2 * self.batch + 2, STATE_SIZE + C, dtype=dtype, device=device)
         #: Sum of squared TD errors of the replay minibatches [R] and number of learning steps, since last asked.
         self.squared_error, self.steps = torch.zeros(replicas, device=device), 0

@@ -4,7 +4,6 @@ The landing page computes numbers and findings whenever the book is built. The R
 are files: ``dropout-uncertainty front`` writes them again, and a test holds them to the records.
 """
 
-import functools
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -26,7 +25,7 @@ from dropout_uncertainty.page.tables import grid_of
 from dropout_uncertainty.runs.records import root
 from dropout_uncertainty.stats import Interval, in_words, t_interval
 
-__all__ = ["FACTS", "SAID", "USED", "facts", "numbers", "readme", "tally", "used", "write"]
+__all__ = ["FACTS", "SAID", "USED", "facts", "numbers", "readme", "tally", "write"]
 
 README, FOLDER = Path("README.md"), Path("book", "_static", "front")
 #: Where the numbers stand in the README.
@@ -81,7 +80,7 @@ def readme(text: str, found: Iterable[Result] | None = None) -> str:
     """Return the README's text with the nine statements between its marks written anew.
 
     Raises:
-        ValueError: if the marks are missing.
+        UserError: if the marks are missing.
     """
     if not (BEGIN in text and END in text):
         raise UserError(f"the README must hold the lines {BEGIN!r} and {END!r}, between which the numbers are written")
@@ -97,8 +96,14 @@ EARLY, LATE = (3_000, 50_000), (90_500, 200_000)  # ticks
 
 
 def facts(folder: Path | None = None) -> dict[str, str]:
-    """Return the numbers in the sentences of the first page, by the names that it uses; a dash without records."""
-    return {name: _told(fact, folder) for name, fact in FACTS.items()} | used(folder)
+    """Return numbers and verdicts in the sentences of the first page, by their names there; a dash without records.
+
+    By ``use_`` and its id verdict and number of each statement of the page "What to use when".
+    """
+    judged = _judged(folder)
+    said = {name: "–" if judged[name].verdict == "untested" else judged[name].verdict for name in SAID}
+    used = {f"use_{name}": _with_number(judged[name]) for name in USED}
+    return {name: _told(fact, folder) for name, fact in FACTS.items()} | said | used
 
 
 def _told(fact: Callable[[Path | None], str], folder: Path | None) -> str:
@@ -108,16 +113,16 @@ def _told(fact: Callable[[Path | None], str], folder: Path | None) -> str:
         return "–"
 
 
-def used(folder: Path | None = None) -> dict[str, str]:
-    """Return verdict and number of each statement of the page "What to use when", by ``use_`` and its id."""
-    found: dict[str, str] = {}
+def _judged(folder: Path | None) -> dict[str, Judged]:
+    """Return what the two pages name, judged section by section with all primary statements."""
+    found: dict[str, Judged] = {}
     for letters in SECTIONS:
-        mine = [s for s in STATEMENTS.values() if s.id.startswith(letters) and (s.primary or s.id in USED)]
-        found |= {f"use_{j.statement.id}": _used(j) for j in judge(mine, folder) if j.statement.id in USED}
+        mine = [s for s in STATEMENTS.values() if s.id.startswith(letters) and (s.primary or s.id in {*SAID, *USED})]
+        found |= {j.statement.id: j for j in judge(mine, folder)}
     return found
 
 
-def _used(judged: Judged) -> str:
+def _with_number(judged: Judged) -> str:
     if judged.verdict == "untested":
         return f"untested ({judged.why})"
     return judged.verdict if judged.statement.kind == "audit" else f"{judged.verdict}, {_ours(judged.result())}"
@@ -209,14 +214,6 @@ def _doubt(folder: Path | None) -> str:
     return in_words(t_interval(data_efficiency.excess_on_predictable(learning)[0]))
 
 
-def _verdict(identifier: str, folder: Path | None) -> str:
-    """Return the verdict of a statement that is not a primary one; raises NotRun while it is untested."""
-    (judged,) = judge([STATEMENTS[identifier]], folder)
-    if judged.verdict == "untested":
-        raise NotRun
-    return judged.verdict
-
-
 #: The statements whose verdicts the sentences of the first page give.
 SAID = (
     "AL3f", "AL3g", "AL7a", "AL7b", "AL8a", "EX3a", "EX3c", "EX3e", "EX4", "EX7e", "EX7f", "DE2d", "DE3h", "DE6b",
@@ -262,7 +259,6 @@ FACTS: Mapping[str, Callable[[Path | None], str]] = {
     "sure_pilco_said": lambda folder: _first_trial("doubt/pilco-mean", "predicted_costs", folder),
     "sure_pilco_was": lambda folder: _first_trial("doubt/pilco-mean", "trial_costs", folder),
     "doubt": _doubt,
-    **{name: functools.partial(_verdict, name) for name in SAID},
 }
 
 

@@ -13,7 +13,6 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future,
 from pathlib import Path
 from typing import Any
 
-import torch
 from filelock import FileLock, Timeout
 from tqdm.auto import tqdm
 
@@ -138,9 +137,8 @@ def _digest(unit: Unit) -> str:
 
 
 def _compute(unit: Unit, folder: Path, partial: Path, progress: bool, until: float | None) -> Record:
-    torch.backends.cudnn.deterministic = True  # the same bits each time, also on a GPU
     with _own_errors(unit):
-        process = unit.start(unit.config, unit.seeds, device=unit.device, precision=unit.precision)
+        process = unit.process()
     clock: dict[str, Any] = {"wall_s": 0.0, "cpu_s": 0.0, "interruptions": 0, "rounding": rounding(process)}
     where = records.provenance(unit.device)
     commits, parents = [], []

@@ -7,7 +7,7 @@ without such an axis, final weights for instance, are compared when the whole un
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -86,7 +86,7 @@ def recompute(unit: Unit, record: Record, seconds: float = np.inf, progress: boo
     )
     origin = {"rounding": 1, **record.header["provenance"], "precision": unit.precision}
     with threads(origin.get("threads", 1)):
-        process = unit.start(unit.config, unit.seeds, device=device, precision=precision)
+        process = replace(unit, device=device, precision=precision).process()
         spent = _advance(process, seconds, unit.label, progress)
     here = {**records.provenance(device), "rounding": rounding(process), "precision": precision}
     with np.errstate(invalid="ignore"):  # counts of steps to come are integers that were NaN

@@ -58,6 +58,11 @@ class Unit:
         other = self.precision if self.published not in (None, self.precision) else None
         return f"{self.experiment}/{self.name}/{records.file_name(self.seeds, self.identity['device'], other)}"
 
+    def process(self) -> Process:
+        """Return the process at step 0, which makes the same bits each time, also on a GPU."""
+        torch.backends.cudnn.deterministic = True
+        return self.start(self.config, self.seeds, device=self.device, precision=self.precision)
+
     @property
     def identity(self) -> dict[str, Any]:
         """What the result is a function of."""

@@ -230,7 +230,7 @@ def test_times_go_into_the_provenance_and_values_into_the_record():
     assert set(record) == {"fit_value", "trial_value"}
     assert all(np.isfinite(array).all() and array.shape == (2, 18) for array in record.values())
     assert np.shape(timings["scaling_policy_s"]) == (2, 18)
-    assert np.min(timings["scaling_policy_s"]) >= 0
+    assert np.min(timings["scaling_policy_s"]) > 0
     again = variants.start(TINY, (101,))
     again.restore(again.state())
     np.testing.assert_array_equal(finish(again).result()["trial_value"][0], record["trial_value"][1])

@@ -88,6 +88,19 @@ def test_an_ensemble_follows_one_member_through_an_episode():
                 column = max(0, column + 1 if action == made.sea.mapping[replica, row, column] else column - 1)
 
 
+def test_members_have_draws_of_their_own_and_the_first_those_of_an_agent_without_others():
+    drop = (0.0, 0.5, 0.0)
+    made, single = (agent(members=members, drop=drop) for members in (3, 1))
+    for one in (made, single):
+        one.prepare(0)
+    masks, alone = ((one.masks.at(0)[1], one.draws.at(0)[1]) for one in (made, single))
+    for mask, of_one in zip(masks, alone, strict=True):
+        by_member = mask.view(len(SEEDS), 3, *mask.shape[1:])
+        assert torch.equal(by_member[:, 0], of_one)
+        assert not torch.equal(by_member[:, 0, :1], by_member[:, 1, :1])
+        assert not torch.equal(by_member[:, 1, :1], by_member[:, 2, :1])
+
+
 def test_members_and_priors_start_differently():
     made = agent("greedy", members=3, prior_scale=1.0)
     rows = torch.cat((made.network.parameters, made._networks("prior").parameters))

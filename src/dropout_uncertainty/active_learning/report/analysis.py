@@ -1,4 +1,4 @@
-"""From records to the numbers of Tables 5.1 and 5.2 and of AL1-AL9. Nothing is run and nothing is drawn here."""
+"""From records to the numbers of Tables 5.1 and 5.2 and of statements. Nothing is run and nothing is drawn here."""
 
 import functools
 from collections.abc import Sequence

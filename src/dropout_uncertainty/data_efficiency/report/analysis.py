@@ -194,8 +194,8 @@ class Learning:
 def load(config: str, folder: Path | None = None) -> Learning | None:
     """Return the published repetitions (seeds below 100) of a config; None if there are none yet.
 
-    Where longer runs go on from all of its repetitions (``experiment.LONGER``), these are returned: they begin with the
-    same trials.
+    Where longer runs go on from all of its repetitions (``pilco.learner.LONGER``), these are returned: they begin with
+    the same trials.
 
     Raises:
         RecordError: if a record cannot be trusted.

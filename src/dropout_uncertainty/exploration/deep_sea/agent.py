@@ -76,16 +76,18 @@ class Agent:
         return rng.uniform(self.seeds, shape, name, "deep-sea", self.block).numpy()
 
     def _draws(self, name: str, count: int, rows: int) -> MaskStream:
-        """Return a stream of ``count`` times ``rows`` weight draws per learner."""
+        """Return a stream of ``count`` times ``rows`` weight draws per learner, its own for each member."""
+        members = range(1, self.members)
+        seeds = [own for seed in self.seeds for own in (seed, *(rng.derived(seed, "member", m) for m in members))]
         return MaskStream(
-            self.network.seeds, self.sizes[:-1], self.drop, count, rows, "deep-sea", name, self.block,
+            seeds, self.sizes[:-1], self.drop, count, rows, "deep-sea", name, self.block,
             dtype=self.dtype, device=self.device,
         )  # fmt: skip
 
     def episode(self, number: int, visit: Callable[[NDArray], None]) -> Bool[np.ndarray, " R"]:
         """Play and learn through one episode (0, 1, ... of the block); return who found the treasure.
 
-        ``visit`` is told the cells [R] that are entered.
+        ``visit`` is called with the cells [R] that are entered.
         """
         self.sea.reset()
         found = np.zeros(len(self.seeds), dtype=bool)

@@ -1,1 +1,1 @@
-"""Where the state is hidden: the report of `hidden_state.prediction` and `hidden_state.language`."""
+"""Where the state is hidden: the report of `hidden_state.prediction`, `control` and `language`."""
