@@ -5,10 +5,11 @@ import sys
 
 import gymnasium
 import torch
+from gymnasium.wrappers import FlattenObservation
 
 from dropout_uncertainty.bayes import MLP
 
-env, episodes = gymnasium.make(sys.argv[1]), int(sys.argv[2])
+env, episodes = FlattenObservation(gymnasium.make(sys.argv[1])), int(sys.argv[2])
 q = MLP((env.observation_space.shape[0], 64, 64, int(env.action_space.n)), (0.0, 0.1, 0.1), seeds=[100])
 adam, memory, chance, step = torch.optim.Adam(q.parameters(), 1e-3), [], random.Random(100), 0
 for episode in range(episodes):

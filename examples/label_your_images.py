@@ -13,20 +13,24 @@ from torch import nn
 
 from dropout_uncertainty.active_learning import DropoutLearner, loop, pools
 
-images, names = (raw := np.load(sys.argv[1]).astype(np.float32)) / raw.max(), sys.argv[2].split(",")
+images, names = (raw := np.load(sys.argv[1]).astype(np.float32)) / (raw.max() or 1), sys.argv[2].split(",")
 layers = [(nn.Flatten,), (nn.Linear, images[0].size, 100), (nn.ReLU,), (nn.Dropout,), (nn.Linear, 100, len(names))]
 learner = DropoutLearner(lambda: nn.Sequential(*(kind(*sizes) for kind, *sizes in layers)))
-stored = np.loadtxt(file, int, delimiter=",") if (file := Path("labels.csv")).exists() else np.c_[0:5, [-1] * 5]
-pool, labels = pools.Pool(stored[:, 0], np.setdiff1d(np.arange(len(images)), stored[:, 0])), -torch.ones(len(images))
-labels = labels.long().scatter(0, *torch.from_numpy(stored).T)  # a class, or -1 where it has not been given
+lines = file.read_text().split() if (file := Path("labels.csv")).exists() else []  # of an earlier run
+given = {int(point): name for point, name in (line.split(",") for line in lines)}
+if wrong := {point: name for point, name in given.items() if point >= len(images) or name not in names}:
+    sys.exit(f"labels.csv has {wrong}: expected points below {len(images)} and the classes {sys.argv[2]}")
+asked = list(given) or list(range(min(5, len(images))))
+pool = pools.Pool(asked, np.setdiff1d(np.arange(len(images)), asked))
 for _ in range(int(sys.argv[3])):
-    if (labels[pool.labelled] >= 0).all():
-        learner.hold(torch.from_numpy(images), labels, len(names), 0)
+    if given.keys() >= set(pool.labelled.tolist()) and pool.available.any():
+        learner.hold(images, [names.index(given[i]) if i in given else -1 for i in range(len(images))], len(names), 0)
         learner.fit(pool.labelled[None])
         loop.acquire(learner, [pool], "bald", 5, draws=20, subset=1_000, generators=[torch.default_generator])
-    for point in pool.labelled[labels[pool.labelled] < 0].tolist():
+    for point in (point for point in pool.labelled.tolist() if point not in given):
         image.imsave("asked.png", images[point].squeeze(), vmin=0, vmax=1)
         while (answer := input(f"image {point}, see asked.png ({sys.argv[2]}): ")) not in names:
             continue
-        labels[point] = names.index(answer)
-    np.savetxt(file, torch.stack([pool.labelled, labels[pool.labelled]], 1), "%d", delimiter=",")
+        given[point] = answer
+        with file.open("a") as out:  # each answer at once, so that none is lost
+            out.write(f"{point},{answer}\n")

@@ -14,7 +14,10 @@ gymnasium = pytest.importorskip("gymnasium")
 NAMES = list(environments.ENVIRONMENTS)
 
 
-@pytest.mark.parametrize("order", ["dropout_uncertainty, gymnasium", "gymnasium, dropout_uncertainty"])
+LOOKS = "dropout_uncertainty, importlib.util; importlib.util.find_spec('gymnasium'); import gymnasium"
+
+
+@pytest.mark.parametrize("order", ["dropout_uncertainty, gymnasium", "gymnasium, dropout_uncertainty", LOOKS])
 def test_two_imports_in_any_order_give_the_names(order):
     code = f"import {order}; print(*(name for name in gymnasium.registry if name.startswith('dropout_uncertainty/')))"
     outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

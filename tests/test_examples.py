@@ -34,22 +34,38 @@ def test_images_are_asked_for_and_their_labels_kept(tmp_path, shape):
     np.save(tmp_path / "images.npy", images.astype(np.uint8))
     answers = "drak\n" + "dark\nlight\n" * 5  # what is no class is asked again
     run("label_your_images", "images.npy", "dark,light", "2", folder=tmp_path, answers=answers)
-    labels = np.loadtxt(tmp_path / "labels.csv", int, delimiter=",")
+    labels = np.loadtxt(tmp_path / "labels.csv", str, delimiter=",")
     assert labels.shape == (10, 2)
-    assert labels[:5, 0].tolist() == [0, 1, 2, 3, 4]
+    assert labels[:5, 0].tolist() == ["0", "1", "2", "3", "4"]
     assert len(set(labels[:, 0])) == 10
-    assert labels[:, 1].tolist() == [0, 1] * 5
-    run("label_your_images", "images.npy", "dark,light", "1", folder=tmp_path, answers="light\n" * 5)
-    more = np.loadtxt(tmp_path / "labels.csv", int, delimiter=",")
+    assert labels[:, 1].tolist() == ["dark", "light"] * 5
+    # the names in another order, until nothing is left
+    run("label_your_images", "images.npy", "light,dark", "9", folder=tmp_path, answers="light\n" * 30)
+    more = np.loadtxt(tmp_path / "labels.csv", str, delimiter=",")
     np.testing.assert_array_equal(more[:10], labels)
-    assert more[10:, 1].tolist() == [1] * 5
-    assert len(set(more[:, 0])) == 15
+    assert more[10:, 1].tolist() == ["light"] * 30
+    assert len(set(more[:, 0])) == 40
+
+
+def test_answers_are_kept_one_by_one_and_held_to_the_classes(tmp_path):
+    np.save(tmp_path / "images.npy", np.zeros((3, 4, 4), np.uint8))
+    command = [sys.executable, str(EXAMPLES / "label_your_images.py"), "images.npy"]
+    for classes, answers, said in (
+        ("a,b", "b\na\n", "EOFError"),
+        ("a,c", "", "expected points below 3 and the classes"),
+    ):
+        ended = subprocess.run(
+            [*command, classes, "2"], capture_output=True, text=True, check=False, cwd=tmp_path, input=answers
+        )
+        assert said in ended.stderr
+        assert (tmp_path / "labels.csv").read_text() == "0,b\n1,a\n"
 
 
 def test_an_agent_holds_a_draw_for_an_episode(tmp_path):
     pytest.importorskip("gymnasium")
-    lines = run("hold_a_draw", "CartPole-v1", "3", folder=tmp_path)
-    assert [line.split(":")[0] for line in lines] == ["episode 0", "episode 1", "episode 2"]
+    for world in ("CartPole-v1", "dropout_uncertainty/DeepSea-v0"):
+        lines = run("hold_a_draw", world, "3", folder=tmp_path)
+        assert [line.split(":")[0] for line in lines] == ["episode 0", "episode 1", "episode 2"]
 
 
 def play(name, *arguments, monkeypatch):
@@ -122,5 +138,5 @@ def test_each_is_short_and_linked():
     scripts = sorted(EXAMPLES.glob("*.py"))
     assert len(scripts) == 3
     for script in scripts:
-        assert len(script.read_text(encoding="utf-8").splitlines()) <= 32
+        assert len(script.read_text(encoding="utf-8").splitlines()) <= 36
         assert f"examples/{script.name}" in readme

@@ -1,6 +1,7 @@
 """The command line: ``python -m dropout_uncertainty`` or ``dropout-uncertainty``."""
 
 import contextlib
+import difflib
 import importlib
 import itertools
 import json
@@ -260,7 +261,9 @@ def _numbers(result: Any) -> list[tuple[str, float | None]]:
 def known(name: str, choices: Any, what: str) -> str:
     """Return ``name`` if it is one of the choices; raises UserError naming them otherwise."""
     if name not in choices:
-        raise UserError(f"unknown {what} {name!r}, choose one of {', '.join(choices)}")
+        near = difflib.get_close_matches(name, choices, 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise UserError(f"unknown {what} {name!r}, choose one of {', '.join(choices)}{hint}")
     return name
 
 

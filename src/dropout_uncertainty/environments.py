@@ -41,15 +41,21 @@ class _Waiting:
     A finder by what it does: to inherit from ``importlib.abc`` would take a fifth of the time of the whole import.
     """
 
+    looking = False
+
     def find_spec(self, name: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
-        if name != "gymnasium":
+        if name != "gymnasium" or self.looking:
             return None
-        sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(name)
+        self.looking = True  # the other finders are asked
+        try:
+            spec = importlib.util.find_spec(name)
+        finally:
+            self.looking = False
         if spec is not None and spec.loader is not None:
             execute = spec.loader.exec_module
 
             def execute_and_register(module: ModuleType) -> None:
+                sys.meta_path.remove(self)  # not before: some only ask whether Gymnasium is there
                 execute(module)
                 register()
 

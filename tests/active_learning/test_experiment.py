@@ -271,3 +271,9 @@ def test_networks_of_one_seed_differ_by_their_path_in_all_their_draws(digits):
 def test_batch_bald_with_masks_for_each_image_is_refused():
     with pytest.raises(ValueError, match="set masks_per_image=False"):
         replace(TINY, acquisition="batch-bald", masks_per_image=True)
+
+
+def test_a_network_with_masks_for_each_image_says_so(digits):
+    learner = CNNLearner(replace(TINY, masks_per_image=True), (100,), data=digits)
+    with pytest.raises(ValueError, match="draws anew for each"):
+        acquire(learner, [Pool([0], range(1, 90))], "batch-bald", 5, draws=3, generators=[rng.generator(100)])

@@ -448,3 +448,89 @@ def test_what_is_no_classifier_is_refused():
         DropoutLearner(nn.Flatten())
     with pytest.raises(ValueError, match="expected an SklearnLearner or a DropoutLearner"):
         inspect.unwrap(EnsembleLearner.__init__)(None, Nearest())  # without the check of types under test
+
+
+class Mixed(nn.Module):
+    """A category, looked up, beside features that are real numbers."""
+
+    def __init__(self):
+        super().__init__()
+        self.table, self.rest = nn.Embedding(3, 2), nn.Sequential(nn.Linear(3, 8), nn.Dropout(), nn.Linear(8, 2))
+
+    def forward(self, x):
+        return self.rest(torch.cat((self.table(x[:, 0].long()), x[:, 1:]), 1))
+
+
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_features_beside_an_embedding_keep_their_fractions():
+    generator = np.random.default_rng(100)
+    features = np.stack((generator.integers(3, size=80), generator.random(80)), 1)  # whole numbers would be all 0
+    learner = DropoutLearner(Mixed, epochs=100, learning_rate=0.05)
+    found = simulate(learner, features, features[:, 1] > 0.5, count=20, rounds=2, progress=False)
+    assert found.error[-1] < 20
+
+
+class Dropped(nn.Module):
+    """Dropout that does not show as a layer, in training or always."""
+
+    def __init__(self, always=False):
+        super().__init__()
+        self.always = always
+
+    def forward(self, x):
+        return nn.functional.dropout(x, 0.5, training=self.always or self.training)
+
+
+@pytest.mark.parametrize(
+    ("layers", "message"),
+    [
+        (lambda: [Dropped(), nn.Dropout()], "weight draws leave it out"),
+        (lambda: [Dropped(always=True), nn.Dropout()], "random in evaluation mode too"),
+        (lambda: [nn.Unflatten(1, (1, 12)), LastOutput(12, 12, dropout=0.5, batch_first=True)], "draws are the same"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:dropout option adds dropout", "ignore:the network predicts an image differently")
+def test_what_takes_no_part_in_draws_is_named(data, layers, message):
+    learner = DropoutLearner(lambda: nn.Sequential(nn.Flatten(), *layers(), nn.Linear(12, 3)), epochs=1)
+    learner.hold(data[0].astype(np.float32), np.arange(60) % 3, 3, 100)
+    with pytest.warns(UserWarning, match=message):
+        learner.fit(torch.arange(10)[None])
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_a_point_without_a_label_is_not_learned_from(data, name):
+    learner, labels = LEARNERS[name](), np.arange(60) % 3
+    labels[30:] = -1
+    learner.hold(data[0].astype(np.float32), labels, 3, 100)
+    learner.fit(torch.arange(30)[None])
+    assert learner.log_probs(torch.arange(40, 50)[None], 2).shape[2:] == (10, 3)
+    with pytest.raises(ValueError, match="got -1 for point 30: has it been labelled"):
+        learner.fit(torch.arange(31)[None])
+    with pytest.raises(ValueError, match="a whole number as label for each of 60 images, got"):
+        learner.hold(data[0], labels[:50], 3, 100)
+
+
+def test_training_that_diverged_is_named(data):
+    learner = DropoutLearner(network, epochs=5, learning_rate=1e30)
+    learner.hold(data[0].astype(np.float32), np.arange(60) % 3, 3, 100)
+    with pytest.raises(ValueError, match="has the training diverged"):
+        learner.fit(torch.arange(10)[None])
+
+
+class Shuffling(Nearest):
+    """Draws from NumPy's global random state, as some splitters do."""
+
+    def fit(self, x, y):
+        super().fit(x + np.random.normal(size=x.shape), y)  # noqa: NPY002
+
+
+def test_the_global_random_state_is_a_function_of_the_seed_and_not_moved(data):
+    before = np.random.get_state()[1].tolist()  # noqa: NPY002
+    one, two = (simulate(SklearnLearner(Shuffling()), *data, acquisition="margin", progress=False) for _ in range(2))
+    assert same(one, two)
+    assert np.random.get_state()[1].tolist() == before  # noqa: NPY002
+
+
+def test_an_ensemble_of_ensembles_is_refused():
+    with pytest.raises(ValueError, match="expected an SklearnLearner or a DropoutLearner"):
+        EnsembleLearner(EnsembleLearner(noisy()))

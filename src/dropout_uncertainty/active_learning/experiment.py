@@ -260,6 +260,8 @@ class CNNLearner:
         self.images, self.labels = zip(*(on_device[id(d)] for d in self.data), strict=True)
         self.round = -1
         self.scored = 0
+        #: Whether each point has weight draws of its own.
+        self.draws_per_point = config.masks_per_image
 
     def fit(self, labelled: Int[Tensor, "R n"]) -> None:
         """Train new networks on the given training points: Adam, fresh weight draws in every step."""

@@ -7,6 +7,7 @@ random state is not moved.
 
 import copy
 import math
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,10 +17,11 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.active_learning.inputs import whole
+from dropout_uncertainty.active_learning.inputs import numbers, whole
 from dropout_uncertainty.active_learning.loop import Learner
 from dropout_uncertainty.runs.records import checksum
 
@@ -34,6 +36,17 @@ def _number(seed: int, *path: str | int) -> int:
     return int(torch.randint(2**31, (), generator=rng.generator(seed, *path)))
 
 
+@contextmanager
+def _numpy_random(seed: int) -> Iterator[None]:
+    """Give NumPy's global random state over to a stream of ours for a while: classifiers draw from it."""
+    before = np.random.get_state()  # noqa: NPY002
+    np.random.seed(seed)  # noqa: NPY002
+    try:
+        yield
+    finally:
+        np.random.set_state(before)  # noqa: NPY002
+
+
 class Holder(Learner):
     """What the learners share: the data, the number of classes and a seed."""
 
@@ -42,9 +55,30 @@ class Holder(Learner):
     classes: int
     seed: int
 
-    def hold(self, images: Tensor, labels: Int[Tensor, " N"], classes: int, seed: int) -> None:
-        """Take the data set: N images or rows of features, labels from 0 to ``classes`` - 1."""
-        self.images, self.labels, self.classes, self.seed = images, labels, classes, seed
+    def hold(self, images: ArrayLike, labels: ArrayLike, classes: int, seed: int) -> None:
+        """Take the data set: N images or rows of features, labels from 0 to ``classes`` - 1, others where unknown.
+
+        Raises:
+            ValueError: if these are no numbers, or not one whole label for each image.
+        """
+        self.images, self.classes, self.seed = numbers(images, "images or features [N, ...]").cpu(), classes, seed
+        given = numbers(labels, "labels").cpu()
+        if given.shape != self.images.shape[:1] or (given.is_floating_point() and (given != given.floor()).any()):
+            raise ValueError(
+                f"expected a whole number as label for each of {len(self.images)} images, got {given.dtype} of shape "
+                f"{list(given.shape)}"
+            )
+        self.labels = given.long()
+
+    def _labels(self, points: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
+        """Return the labels of points to learn from; raises ValueError if one is none of the classes."""
+        labels = self.labels[points]
+        if (wrong := (labels < 0) | (labels >= self.classes)).any():
+            raise ValueError(
+                f"expected labels from 0 to {self.classes - 1}, got {int(labels[wrong][0])} for point "
+                f"{int(points[wrong][0])}: has it been labelled?"
+            )
+        return labels
 
     def check_labels(self, names: np.ndarray) -> None:
         """Raise ValueError if a setting speaks of labels [C] otherwise than by their numbers from 0."""
@@ -82,6 +116,12 @@ class SklearnLearner(Holder):
     def __repr__(self) -> str:
         return f"SklearnLearner({type(self.classifier).__qualname__}, {self._settings()})"
 
+    def fingerprint(self) -> str:
+        """Return the settings and what has been fitted already, arrays in full."""
+        fitted = {name: value for name, value in getattr(self.classifier, "__dict__", {}).items() if name[-1] == "_"}
+        with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+            return f"{self!r}, {fitted}"
+
     def _settings(self) -> dict[str, Any]:
         return getattr(self.classifier, "get_params", lambda: vars(self.classifier))()
 
@@ -96,12 +136,13 @@ class SklearnLearner(Holder):
 
     def fit(self, labelled: Int[Tensor, "1 n"]) -> None:
         """Train a fresh copy on the given points."""
-        points = labelled[0]
+        points, labels = labelled[0], self._labels(labelled[0]).numpy()
         self.fitted = copy.deepcopy(self.classifier)
         states = {n: v for n, v in getattr(self.fitted, "get_params", dict)().items() if n.endswith("random_state")}
         if free := [name for name, value in states.items() if value is None]:
             self.fitted.set_params(**dict.fromkeys(free, _number(self.seed, "fit", len(points))))
-        self.fitted.fit(self._rows(points), self.labels[points].numpy())
+        with _numpy_random(_number(self.seed, "numpy", len(points))):
+            self.fitted.fit(self._rows(points), labels)
 
     def log_probs(self, candidates: Int[Tensor, "1 M"], draws: int) -> Float[Tensor, "1 1 M C"]:
         """Return log-probabilities, those of classes without a labelled point -inf."""
@@ -123,7 +164,8 @@ class DropoutLearner(Holder):
     """A torch module with dropout, trained by Adam on the cross-entropy; a weight draw keeps the dropout active.
 
     ``make()`` returns the module, of which each fit trains a copy. It takes [B, ...] images as they are in the data
-    set, in its own precision, and returns logits [B, C]. When it draws, only what drops units is as in training:
+    set, whole numbers as such where it has an embedding and else in its own precision, and returns logits [B, C].
+    When it draws, only what drops units is as in training:
     ``nn.Dropout`` and the dropout within PyTorch's attention and recurrent layers; batch normalisation never is. Each
     image has masks of its own, so "batch-bald" is refused.
 
@@ -173,6 +215,7 @@ class DropoutLearner(Holder):
     def fit(self, labelled: Int[Tensor, "1 n"]) -> None:
         """Train a new module on the given points."""
         points, self.size, self.calls = labelled[0], labelled.shape[1], 0
+        self._labels(points)
         with self._random("fit", len(points)):
             self.network = copy.deepcopy(self.make()).to(self.device)
             adam = torch.optim.Adam(self.network.parameters(), lr=self.learning_rate, weight_decay=self.decay)
@@ -195,12 +238,15 @@ class DropoutLearner(Holder):
         # in evaluation mode a transformer's layer passes its own dropout layers by
         self.drawing = [layer for layer in layers if _drops(layer) or isinstance(layer, nn.TransformerEncoderLayer)]
         self._check_company()
+        self._check_draws()
 
     @torch.inference_mode()
     def _check_company(self) -> None:
         """Warn if the prediction for an image depends on the others that are predicted with it."""
         with self._random("company", self.size):
             two, three = (self._logits(torch.arange(count)) for count in (2, min(3, len(self.images))))
+        if not three.isfinite().all():
+            raise ValueError("the predictions are NaN or infinite: has the training diverged, or are images so?")
         slack = torch.finfo(two.dtype).eps ** 0.5
         if not torch.allclose(two, three[:2], rtol=slack, atol=slack * float(three.abs().max())):
             warnings.warn(
@@ -208,6 +254,35 @@ class DropoutLearner(Holder):
                 "batch_first=True, batch normalisation track_running_stats=True",
                 stacklevel=2,
             )
+
+    @torch.inference_mode()
+    def _check_draws(self) -> None:
+        """Warn if something random is no weight draw, or if weight draws do not differ."""
+        points, trained = torch.arange(min(8, len(self.images))), self.network
+        try:
+            with self._random("draws", self.size):
+                steady = torch.equal(self._logits(points), self._logits(points))
+                self.network = copy.deepcopy(trained).train()  # a copy, since modules may note what they have seen
+                for layer in self.network.modules():
+                    if _drops(layer) or isinstance(layer, nn.modules.batchnorm._NormBase):
+                        layer.training = False
+                alone = torch.equal(self._logits(points), self._logits(points))
+        finally:
+            self.network = trained
+        if not steady:
+            warnings.warn(
+                "the module is random in evaluation mode too: F.dropout needs training=self.training", stacklevel=3
+            )
+        elif not alone:
+            warnings.warn(
+                "something in the module is random in training that is no dropout layer (F.dropout, stochastic depth): "
+                "weight draws leave it out; nn.Dropout takes part in them",
+                stacklevel=3,
+            )
+        one, two = self.log_probs(points[None], 2)[0]
+        self.calls = 0
+        if torch.equal(one, two):
+            warnings.warn("two weight draws are the same: does the module use its dropout layers?", stacklevel=3)
 
     @torch.inference_mode()
     def log_probs(self, candidates: Int[Tensor, "1 M"], draws: int) -> Float[Tensor, "1 S M C"]:
@@ -221,12 +296,10 @@ class DropoutLearner(Holder):
         return torch.stack(outputs)[None].cpu()
 
     def _logits(self, points: Int[Tensor, " B"]) -> Float[Tensor, "B C"]:
-        first = next(
-            layer for layer in self.network.modules() if next(layer.parameters(recurse=False), None) is not None
-        )
-        weight = next(first.parameters())
-        dtype = torch.long if isinstance(first, nn.Embedding) else weight.dtype
-        logits = self.network(self.images[points].to(weight.device, dtype))
+        images = self.images[points]
+        weight = next(weight for weight in self.network.parameters() if weight.is_floating_point())
+        looked_up = not images.is_floating_point() and any(isinstance(x, nn.Embedding) for x in self.network.modules())
+        logits = self.network(images.to(weight.device, torch.long if looked_up else weight.dtype))
         if logits.shape != (len(points), self.classes):
             raise ValueError(
                 f"expected logits [{len(points)}, {self.classes}], images × classes, got {list(logits.shape)}"
@@ -248,7 +321,7 @@ class EnsembleLearner(Holder):
     """
 
     def __init__(self, learner: Holder, members: int = 5, *, bootstrap: bool = False) -> None:
-        if not isinstance(learner, Holder):
+        if not isinstance(learner, Holder) or isinstance(learner, EnsembleLearner):
             raise ValueError(f"expected an SklearnLearner or a DropoutLearner, got {learner!r}")
         self.members = [copy.copy(learner) for _ in range(whole(members, "the number of members"))]
         self.bootstrap = bootstrap
@@ -264,11 +337,11 @@ class EnsembleLearner(Holder):
         """Return what tells this ensemble from others."""
         return f"{self!r}, {self.members[0].fingerprint()}"
 
-    def hold(self, images: Tensor, labels: Int[Tensor, " N"], classes: int, seed: int) -> None:
+    def hold(self, images: ArrayLike, labels: ArrayLike, classes: int, seed: int) -> None:
         """Take the data set, and give each member a seed of its own."""
         super().hold(images, labels, classes, seed)
         for index, member in enumerate(self.members):
-            member.hold(images, labels, classes, _number(seed, "member", index))
+            member.hold(self.images, self.labels, classes, _number(seed, "member", index))
 
     def fit(self, labelled: Int[Tensor, "1 n"]) -> None:
         """Train all members."""

@@ -139,9 +139,10 @@ def file_name(seeds: Sequence[int], device: str, precision: str | None = None) -
 
 @cache
 def _git(*arguments: str) -> str | None:
-    """Return what git says of the code's repository, None where there is none."""
+    """Return what git says of the clone that the code is in, None where it is in none."""
+    if (folder := folders.checkout()) is None:  # what git finds above belongs to somebody else
+        return None
     try:
-        folder = Path(__file__).resolve().parent
         return subprocess.run(
             ["git", *arguments], cwd=folder, capture_output=True, text=True, check=True, timeout=10
         ).stdout.strip()
@@ -264,6 +265,8 @@ def read(path: Path | str, folder: Path | None = None) -> Record:
         header, arrays = _parse(path)
     except FileNotFoundError:
         raise RecordError(f"there is no record {path}") from None
+    except OSError as error:
+        raise RecordError(f"the record {path} cannot be read ({error.strerror or error}): make it readable") from error
     except Exception as error:  # NumPy, zipfile and json do not say what damaged bytes make them raise
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise RecordError(f"the record {path} cannot be read ({reason}): {REMEDY}") from error

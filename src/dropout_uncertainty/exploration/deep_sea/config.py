@@ -81,7 +81,10 @@ def check(config: Config) -> None:
         idle(config, ("temperature_start", "temperature_end"), "the policy has no temperature")
     if config.policy not in ("epsilon-greedy", *COOLED):
         idle(config, ("anneal_episodes",), "nothing is annealed")
-    if not POLICIES[config.policy].draws_weights:
+    if POLICIES[config.policy].draws_weights:
+        if not any(config.drop):
+            raise ValueError(f"{config.policy} acts on draws of the weights: a drop probability must be above 0")
+    else:
         idle(config, ("held",), "the policy acts on the mean weights")
 
 
