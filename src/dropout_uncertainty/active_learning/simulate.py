@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -135,7 +136,7 @@ def _data(images: ArrayLike, labels: ArrayLike) -> tuple[Tensor, Int[Tensor, " N
     try:
         names, targets = np.unique(given, return_inverse=True)
     except TypeError:
-        raise ValueError("expected labels of one type, got several: is one missing?") from None
+        raise ValueError("expected labels of one type that has an order: is one missing?") from None
     if any(name != name for name in names):  # NaN among objects, or no time
         raise ValueError("some of the labels are NaN: leave those points out")
     if len(names) < 2:
@@ -188,9 +189,15 @@ class _Checkpoint:
     """The measurements and the acquired points so far, in a file that is replaced as a whole; None: nowhere."""
 
     def __init__(self, path: str | Path | None, identity: str) -> None:
-        self.path, self.identity = path and Path(path), identity
+        self.path, self.identity = None if path is None else Path(path), identity
         if self.path and (self.path.is_dir() or not self.path.parent.is_dir()):
             raise ValueError(f"the checkpoint {self.path} should be a file in a folder that is there: name another one")
+        if self.path:
+            try:  # before hours of work
+                with tempfile.TemporaryFile(dir=self.path.parent):
+                    pass
+            except OSError as error:
+                raise ValueError(f"the checkpoint {self.path} cannot be written: {error.strerror or error}") from None
 
     def write(self, pool: Pool, sizes: list[int], errors: list[float]) -> None:
         if not self.path:

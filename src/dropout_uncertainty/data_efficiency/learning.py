@@ -47,6 +47,7 @@ class Learner:
     def __init__(self, config: Any, seeds: Sequence[int], shape: Any, kept: Sequence[str] | None = None) -> None:
         self.config, self.seeds, self.shape, self.kept = config, rng.check_seeds(seeds), shape, kept
         self.total, self.done = config.trials + 1, 0
+        cartpole.check_interval(config.plant)
         times, steps = config.plant.steps + 1, config.plant.steps
         sizes = {
             "states": (times, 4),  # true

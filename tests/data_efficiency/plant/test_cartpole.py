@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from dropout_uncertainty.data_efficiency.deep_pilco import learner
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, PRESETS
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
@@ -176,6 +177,17 @@ def test_forces_that_fit_no_state_are_named(shape):
 def test_plants_that_cannot_be_are_named(change, words):
     with pytest.raises(ValueError, match=words):
         replace(PAPER, **change)
+
+
+def test_a_plant_that_is_too_stiff_to_be_integrated_is_refused():
+    for plant in cartpole.PRESETS.values():
+        cartpole.check_interval(plant)
+    stiff = replace(cartpole.PAPER, pole_length=0.1, cart_mass=0.05, pole_mass=0.02)
+    for plant in (stiff, replace(cartpole.PAPER, friction=2000.0), replace(stiff, friction=1e9)):
+        with pytest.raises(ValueError, match="it is too stiff"):
+            cartpole.check_interval(plant)
+    with pytest.raises(ValueError, match="it is too stiff"):
+        learner.start(replace(learner.OURS, plant=stiff), (100,))
 
 
 def test_a_plant_that_does_not_move_is_a_plant():

@@ -48,6 +48,7 @@ class ModelFree:
     def __init__(self, config: ModelFreeConfig, seeds: Sequence[int], dtype: torch.dtype = torch.float32) -> None:
         self.config, self.seeds, self.dtype = of_type(ModelFreeConfig, config, "config"), rng.check_seeds(seeds), dtype
         plant = config.plant
+        cartpole.check_interval(plant)
         inputs = len(cartpole.FEATURE_NAMES) + config.time_input
         self.agent = METHODS[config.method](config, self.seeds, inputs, dtype)
         self.memory = Memory(len(self.seeds), min(config.memory, config.trials * plant.steps), inputs, dtype)

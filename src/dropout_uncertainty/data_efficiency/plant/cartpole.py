@@ -105,6 +105,18 @@ def derivative(
     return torch.stack((v, dv, dw, w), -1)
 
 
+def check_interval(plant: CartPole) -> None:
+    """Raise ValueError if a control interval at the largest force is not integrated to within 1e-6."""
+    state = torch.tensor([[0.0, 0.0, 0.0, angle] for angle in (0.0, 1.0, torch.pi)], dtype=torch.float64)
+    force = torch.full((3,), plant.force_limit, dtype=torch.float64)
+    error = float((step(plant, state, force) - step(plant, state, force, 2 * SUBSTEPS)).abs().max())
+    if not error <= 1e-6:
+        raise ValueError(
+            f"an interval of this plant is integrated with an error of {error:.1g}, expected 1e-6 at most: it is too "
+            "stiff, shorten dt or take heavier masses, a longer pole, less friction"
+        )
+
+
 def step(plant: CartPole, state: Tensor, force: Tensor, substeps: int = SUBSTEPS) -> Tensor:
     """Return the state one control interval later: Runge-Kutta steps of order 4 under a constant force.
 
