@@ -15,6 +15,8 @@ from dropout_uncertainty.data_efficiency import policies
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import Rollout
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
+from dropout_uncertainty.runs.unit import RunError, precision_dtype
+from dropout_uncertainty.settings import of_type
 
 EXPERIMENT = "data_efficiency"
 #: Most repetitions of a unit of section 5.4, by device: on a CPU the time per repetition hardly falls beyond.
@@ -139,3 +141,23 @@ class Learner:
     def timings(self) -> dict[str, list[float]]:
         """Return CPU seconds per trial of all repetitions together, by part."""
         return {f"{name}_cpu_s": values for name, values in self.seconds.items()}
+
+
+def on_cpu(
+    kind: Callable[[Any, Sequence[int], torch.dtype], Any],
+    settings: type,
+    what: str,
+    config: Any,
+    seeds: Sequence[int],
+    device: str = "cpu",
+    precision: str = "float32",
+) -> Any:
+    """Return the process of one unit, of a kind that runs on the CPU alone; `what` names it in words.
+
+    Raises:
+        RunError: for another device, or an unknown precision.
+        ValueError: without seeds, or for a config of another type than `settings`.
+    """
+    if torch.device(device).type != "cpu":
+        raise RunError(f"{what} run on the CPU, got the device {device}")
+    return kind(of_type(settings, config, "config"), seeds, precision_dtype(precision))

@@ -9,6 +9,7 @@ Replicas R first, then particles K.
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,12 @@ from dropout_uncertainty.data_efficiency.deep_pilco.particles import force, mult
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import RBFShape
 from dropout_uncertainty.data_efficiency.hidden_state.models import SEEN, Model, ModelConfig, inputs_of
 from dropout_uncertainty.data_efficiency.hidden_state.prediction import FAMILY, MODELS
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, Learner
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, Learner, on_cpu
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
 from dropout_uncertainty.data_efficiency.policies import RBFPolicy, squash
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import only_cpu, precision_dtype
-from dropout_uncertainty.settings import of_type, tidy
+from dropout_uncertainty.settings import tidy
 
 __all__ = ["CONFIGS", "PAST", "ControlConfig", "HiddenLearning", "HiddenPolicy"]
 
@@ -272,19 +272,6 @@ class HiddenLearning(Learner):
         return arrays | super().result()
 
 
-def start(
-    config: ControlConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32"
-) -> HiddenLearning:
-    """Return the process of one unit, on a CPU.
-
-    Raises:
-        RunError: for another device.
-        ValueError: without seeds.
-    """
-    only_cpu("learners of hidden states", device)
-    return HiddenLearning(of_type(ControlConfig, config, "config"), seeds, precision_dtype(precision))
-
-
 CONFIGS = {f"{FAMILY}/control-{name}": ControlConfig(MODELS[name]) for name in ("last-one", "last-four", "lstm-held")}
 
 
@@ -294,4 +281,5 @@ def memory(config: ControlConfig) -> float:
     return 8.0 * config.plant.steps * max(config.particles, PREDICTED) * wide * 4
 
 
+start = partial(on_cpu, HiddenLearning, ControlConfig, "learners of hidden states")
 SWEEPS = [Sweep(EXPERIMENT, CONFIGS, start, ("float32", "float64"), {"cpu": GROUP["cpu"]}, 10, memory)]
