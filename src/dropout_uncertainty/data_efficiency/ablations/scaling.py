@@ -21,7 +21,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
-from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, dtype_of
 from dropout_uncertainty.data_efficiency.deep_pilco.particles import match
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import standardised
 from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, linear_moments
@@ -31,7 +31,7 @@ from dropout_uncertainty.data_efficiency.pilco.learner import PILCO_PAPER, Pilco
 from dropout_uncertainty.rng import check_seeds, generator
 from dropout_uncertainty.runs.process import threads
 
-__all__ = ["AXES", "METHODS", "Scaling", "ScalingConfig"]
+__all__ = ["AXES", "METHODS", "Scaling", "ScalingConfig", "start"]
 
 #: Deep PILCO with the moments of all dimensions together (`OURS`), and of each alone (thesis algorithm 4).
 METHODS = ("pilco", "deep-pilco", "deep-pilco-diagonal")
@@ -200,3 +200,17 @@ def timed(work: Callable[[], float]) -> tuple[float, float]:
         work()
         times.append(time.process_time() - begun)
     return min(times), value
+
+
+def start(config: ScalingConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> Scaling:
+    """Return the process of one unit.
+
+    Raises:
+        ValueError: without seeds, for bfloat16, or if times are to be taken elsewhere than on the CPU.
+    """
+    return Scaling(config, seeds, device, dtype_of(precision))
+
+
+def memory(config: ScalingConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes; sizes are timed one repetition after the other."""
+    return 8.0 * 4 * max(config.pilco_sizes[0]) ** 2

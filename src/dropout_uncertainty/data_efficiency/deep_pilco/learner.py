@@ -293,13 +293,14 @@ def start(
     device: str = "cpu",
     precision: str = "float32",
     kept: Sequence[str] | None = None,
+    kind: type[DeepPilcoLearning] = DeepPilcoLearning,
 ) -> DeepPilcoLearning:
-    """Return the process of one unit; `kept` names the arrays of a small record.
+    """Return the process of one unit, of that kind; `kept` names the arrays of a small record.
 
     Raises:
         ValueError: without seeds, or for bfloat16, which has no Cholesky factor.
     """
-    return DeepPilcoLearning(of_type(DeepPilcoConfig, config, "config"), seeds, device, dtype_of(precision), kept)
+    return kind(of_type(DeepPilcoConfig, config, "config"), seeds, device, dtype_of(precision), kept)
 
 
 def dtype_of(precision: str) -> torch.dtype:
