@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import Li
 from dropout_uncertainty.data_efficiency.minimise.batched import Minimum, minimise
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole, features
-from dropout_uncertainty.data_efficiency.plant.cost import cost, cost_moments
+from dropout_uncertainty.data_efficiency.plant.cost import cost, mean_cost
 from dropout_uncertainty.data_efficiency.policies import Layout, Policy, RBFPolicy, force, force_moments
 
 DIM = len(FEATURE_NAMES)
@@ -81,7 +81,7 @@ def start_distribution(plant: CartPole, replicas: int, device: torch.device | st
 
 def expected_costs(plant: CartPole, states: Gaussian) -> Float[Tensor, "R steps"]:
     """Return the expected cost of each predicted state after the first, times 1 ... T."""
-    return cost_moments(plant, Gaussian(states.mean[:, 1:], states.cov[:, 1:]))[0]
+    return mean_cost(plant, Gaussian(states.mean[:, 1:], states.cov[:, 1:]))
 
 
 @dataclass(frozen=True)
