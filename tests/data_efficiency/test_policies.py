@@ -10,7 +10,7 @@ from dropout_uncertainty.data_efficiency import policies
 from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, feature_moments
 from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, features
 from dropout_uncertainty.data_efficiency.plant.cost import cost, mean_cost, saturating_mean
-from dropout_uncertainty.data_efficiency.policies import LinearPolicy, RBFPolicy
+from dropout_uncertainty.data_efficiency.policies import RBFPolicy
 from dropout_uncertainty.rng import generator
 
 HALF_TURN = torch.tensor([0.0, 0, 0, math.pi], dtype=torch.float64)
@@ -93,30 +93,29 @@ def some_state(seed=100):
     return Gaussian(torch.tensor([[0.1, 0, 0, 0.3], [-0.2, 1, 0, 2.5]], dtype=torch.float64), root @ root.mT)
 
 
-def some_policies(seed=100):
+def some_policy(seed=100):
     g = generator(seed)
 
     def normal(*shape):
         return torch.randn(*shape, generator=g, dtype=torch.float64)
 
-    rbf = RBFPolicy.from_targets(normal(2, 7, 5), 0.3 * normal(2, 1, 5), normal(2, 1, 7))
-    return rbf, LinearPolicy(normal(2, 5, 1), normal(2, 1))
+    return RBFPolicy.from_targets(normal(2, 7, 5), 0.3 * normal(2, 1, 5), normal(2, 1, 7))
 
 
 def test_points_in_any_batch_shape_and_within_the_limit():
     states = torch.randn(2, 6, 4, generator=generator(101), dtype=torch.float64)
-    for policy in some_policies():
-        forces = policies.force(policy, PAPER, states)
-        assert forces.shape == (2, 6)
-        assert forces.abs().max() <= PAPER.force_limit
-        one = policies.force(policy, PAPER, states[:, 3])
-        torch.testing.assert_close(one, forces[:, 3])
-        folded = policies.force(policy, PAPER, states.reshape(2, 2, 3, 4))
-        torch.testing.assert_close(folded.reshape(2, 6), forces)
+    policy = some_policy()
+    forces = policies.force(policy, PAPER, states)
+    assert forces.shape == (2, 6)
+    assert forces.abs().max() <= PAPER.force_limit
+    one = policies.force(policy, PAPER, states[:, 3])
+    torch.testing.assert_close(one, forces[:, 3])
+    folded = policies.force(policy, PAPER, states.reshape(2, 2, 3, 4))
+    torch.testing.assert_close(folded.reshape(2, 6), forces)
 
 
 def test_rbf_policy_is_a_sum_of_gaussians_and_nearly_meets_its_targets():
-    rbf, _ = some_policies()
+    rbf = some_policy()
     x = features(torch.randn(2, 1, 4, generator=generator(101), dtype=torch.float64))
     distance = (x - rbf.centres) / rbf.log_length_scales.exp()
     by_hand = (rbf.weights[:, 0] * torch.exp(-(distance**2).sum(-1) / 2)).sum(-1)
@@ -138,13 +137,13 @@ def test_squash_reaches_the_limit_flatly():
 def test_a_certain_state_gives_the_force_of_the_point():
     state = some_state()
     certain = Gaussian(state.mean, torch.zeros_like(state.cov))
-    for policy in some_policies():
-        moments = policies.force_moments(policy, 10.0, feature_moments(certain).out)
-        point = policies.force(policy, MATLAB, state.mean)
-        # the jitter on the preliminary variance of 1e-6 moves the mean by about as much
-        torch.testing.assert_close(moments.mean[:, 0], point, rtol=0, atol=1e-4)
-        assert (moments.cov >= 0).all()
-        assert (moments.cov < 1e-3).all()
+    policy = some_policy()
+    moments = policies.force_moments(policy, 10.0, feature_moments(certain).out)
+    point = policies.force(policy, MATLAB, state.mean)
+    # the jitter on the preliminary variance of 1e-6 moves the mean by about as much
+    torch.testing.assert_close(moments.mean[:, 0], point, rtol=0, atol=1e-4)
+    assert (moments.cov >= 0).all()
+    assert (moments.cov < 1e-3).all()
 
 
 def test_expected_cost_matches_monte_carlo_over_gaussian_features_and_the_point():

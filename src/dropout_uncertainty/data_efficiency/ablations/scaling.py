@@ -24,7 +24,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import Drop
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, dtype_of
 from dropout_uncertainty.data_efficiency.deep_pilco.particles import match
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import standardised
-from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, linear_moments
+from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian
 from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import SquaredExponential
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.pilco.learner import PILCO_PAPER, PilcoConfig
@@ -169,9 +169,8 @@ def gaussian_trial(model: SquaredExponential, inputs: Float[Tensor, "D Q"], step
     state = Gaussian(inputs.new_zeros(1, d), START_STD**2 * torch.eye(d, dtype=inputs.dtype)[None])
     total = inputs.new_zeros(())
     for _ in range(steps):
-        seen = linear_moments(state, inputs)
-        change = model.moments(seen.out)
-        shared = state.cov @ seen.slope @ change.slope
+        change = model.moments(Gaussian(state.mean @ inputs, inputs.mT @ state.cov @ inputs))
+        shared = state.cov @ inputs @ change.slope
         state = Gaussian(state.mean + change.mean, state.cov + change.cov + shared + shared.mT)
         total = total + state.cov.diagonal(dim1=-2, dim2=-1).sum()
     torch.autograd.grad(total, inputs)
