@@ -23,7 +23,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco.particles import force, mult
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import RBFShape
 from dropout_uncertainty.data_efficiency.hidden_state.models import SEEN, Model, ModelConfig, inputs_of
 from dropout_uncertainty.data_efficiency.hidden_state.prediction import FAMILY, MODELS
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, Learner, on_cpu
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, LEAN, Learner, on_cpu
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
 from dropout_uncertainty.data_efficiency.policies import RBFPolicy, squash
@@ -140,6 +140,8 @@ class HiddenLearning(Learner):
     """R repetitions in one batch; a step is a trial, step 0 the random one."""
 
     COUNTS = ("model_repairs", "policy_repairs", "policy_redrawn")
+    STATE = (*Learner.STATE, "model")
+    PRECISION = LEAN
     config: ControlConfig
 
     def __init__(self, config: ControlConfig, seeds: Sequence[int], dtype: torch.dtype) -> None:
@@ -251,25 +253,6 @@ class HiddenLearning(Learner):
             return squash(policy.on_states(policy.inputs(past, plant.dt))[:, 0, 0], plant.force_limit)
 
         return act
-
-    def state(self) -> dict[str, Any]:
-        """Return everything needed to continue."""
-        return super().state() | {"model": self.model.state()}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Continue from `state()` of a process made with the same arguments."""
-        self.model.restore(state["model"])
-        super().restore({name: value for name, value in state.items() if name != "model"})
-
-    def result(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN."""
-        half = {"predicted_mean", "predicted_std", "predicted_cost"}
-        arrays = {
-            name: value.numpy().astype(np.float16 if name in half else np.float32)
-            for name, value in self.log.items()
-            if name != "observed"
-        }
-        return arrays | super().result()
 
 
 CONFIGS = {f"{FAMILY}/control-{name}": ControlConfig(MODELS[name]) for name in ("last-one", "last-four", "lstm-held")}
