@@ -133,15 +133,6 @@ def step(plant: CartPole, state: Tensor, force: Tensor, substeps: int = SUBSTEPS
     return state
 
 
-def energy(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
-    """Return the mechanical energy [J]; zero for the pole at rest and level with the pivot."""
-    _check_states(state)
-    _, v, w, theta = state.unbind(-1)
-    m, length = plant.pole_mass, plant.pole_length
-    kinetic = (plant.cart_mass + m) * v**2 / 2 - m * length * v * w * theta.cos() / 2 + m * length**2 * w**2 / 6
-    return kinetic + m * plant.gravity * length * theta.cos() / 2
-
-
 def tip(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 2"]:
     """Return the horizontal and vertical position [m] of the pole's end, the track at height 0.
 
