@@ -154,19 +154,16 @@ def features(state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 5"]:
     return torch.cat((state[..., :3], state[..., 3:].sin(), state[..., 3:].cos()), -1)
 
 
-def start_states(
-    plant: CartPole, shape: tuple[int, ...], generator: Generator, dtype: torch.dtype = torch.float64
-) -> Float[Tensor, "*shape 4"]:
+def start_states(plant: CartPole, shape: tuple[int, ...], generator: Generator) -> Float[Tensor, "*shape 4"]:
     """Return draws from the start distribution p(X_0)."""
-    noise = torch.randn(*shape, 4, generator=generator, dtype=dtype, device=generator.device)
-    return torch.tensor(plant.start_mean, dtype=dtype, device=noise.device) + plant.start_std * noise
+    noise = torch.randn(*shape, 4, generator=generator, dtype=torch.float64, device=generator.device)
+    return noise.new_tensor(plant.start_mean) + plant.start_std * noise
 
 
-def observation_noise(
-    plant: CartPole, shape: tuple[int, ...], generator: Generator, dtype: torch.dtype = torch.float64
-) -> Float[Tensor, "*shape 4"]:
+def observation_noise(plant: CartPole, shape: tuple[int, ...], generator: Generator) -> Float[Tensor, "*shape 4"]:
     """Return draws of the noise added to true states to make observed ones."""
-    return plant.observation_noise * torch.randn(*shape, 4, generator=generator, dtype=dtype, device=generator.device)
+    noise = torch.randn(*shape, 4, generator=generator, dtype=torch.float64, device=generator.device)
+    return plant.observation_noise * noise
 
 
 @dataclass(frozen=True)
