@@ -84,7 +84,8 @@ def test_the_figure_turns_claims_to_the_right_and_leaves_out_what_is_untested():
 def test_every_claim_of_version_1_says_what_changed():
     rows = scoreboard.since_version_1(judged("supported"))[1]
     assert len(rows) == 26
-    assert rows[0][2:4] == ["partly", "1 supported"]
+    assert rows[0][2:] == ["partly", "1 supported", "printed minima were compared with last points"]
+    assert all(row[-1] for row in rows)
 
 
 def test_costs_add_up_and_processors_of_two_kinds_stay_apart():

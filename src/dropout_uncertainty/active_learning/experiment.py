@@ -20,7 +20,6 @@ from torch import Tensor
 from dropout_uncertainty import rng
 from dropout_uncertainty.active_learning import mnist
 from dropout_uncertainty.active_learning.batch_acquisition import check_acquisition
-from dropout_uncertainty.active_learning.ensemble import Ensemble
 from dropout_uncertainty.active_learning.loop import acquire
 from dropout_uncertainty.active_learning.network import CLASSES, INITIALISATIONS, BayesianCNN
 from dropout_uncertainty.active_learning.noisy_pools import KINDS, NO_LABEL, Task, make_task
@@ -333,6 +332,35 @@ class CNNLearner:
             mean = self._predict([batch], draws).double().logsumexp(1)
             wrong += (mean.argmax(-1) != truth).sum(1).cpu()
         return (100 * wrong / len(labels)).numpy()
+
+
+class Ensemble:
+    """Networks trained on the same points from different streams; one deterministic pass of each is a draw.
+
+    They are the yardstick of the field for weight draws that cost one training. Only the scores are the ensemble's. The
+    test error is that of the first member, since an ensemble predicts better than one network whatever points it was
+    trained on.
+    """
+
+    classes = CLASSES
+
+    def __init__(self, members: Sequence[CNNLearner]) -> None:
+        self.members, self.round = members, -1
+
+    def fit(self, labelled: Int[Tensor, "R n"]) -> None:
+        """Train every member from scratch."""
+        for member in self.members:
+            member.round = self.round
+            member.fit(labelled)
+        self.round += 1
+
+    def log_probs(self, candidates: Int[Tensor, "R M"], draws: int) -> Float[Tensor, "R S M 10"]:
+        """Return log-probabilities under each of the S members; ``draws`` has no say."""
+        return torch.cat([member.log_probs(candidates, 0) for member in self.members], 1)
+
+    def test_error(self, draws: int = 0) -> Float[np.ndarray, " R"]:
+        """Return the test error of the first member in %, see ``CNNLearner.test_error``."""
+        return self.members[0].test_error(draws)
 
 
 def gather(arrays: Sequence[Tensor], indices: Int[Tensor, "R n"]) -> Tensor:

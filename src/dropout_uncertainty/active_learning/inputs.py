@@ -34,7 +34,7 @@ def _array(given: ArrayLike) -> np.ndarray:
     array = np.array(given)
     if array.dtype == object and (to_numpy := getattr(given, "to_numpy", None)):
         array = to_numpy(float)
-    return array.astype(array.dtype.newbyteorder("="))
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 def indices(given: ArrayLike, what: str) -> Int[Tensor, " n"]:

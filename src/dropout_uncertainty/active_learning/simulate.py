@@ -99,7 +99,7 @@ def simulate(
     if hasattr(learner, "hold"):
         learner.hold(features, targets, len(names), seed)
     settings = (acquisition, count, draws, subset, seed, targets.tolist(), tested.tolist(), pool.labelled.tolist())
-    saved = _Checkpoint(checkpoint, _identity(learner, features, *settings))
+    saved = _Checkpoint(checkpoint, _identity(learner, features, *settings) if checkpoint else "")
     sizes, errors = saved.restore(pool)
     with tqdm(total=rounds + 1, initial=len(errors), desc=acquisition, unit="round", disable=not progress) as bar:
         while len(errors) <= rounds:

@@ -15,10 +15,14 @@ from dropout_uncertainty.data_efficiency import policies
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import Rollout
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
+from dropout_uncertainty.runs.unit import RunError, precision_dtype
+from dropout_uncertainty.settings import of_type
 
 EXPERIMENT = "data_efficiency"
 #: Most repetitions of a unit of section 5.4, by device: on a CPU the time per repetition hardly falls beyond.
 GROUP = {"cpu": 20, "cuda": 40}
+#: `Learner.PRECISION` where the model is a network: observed states follow from the seed, the others are only drawn.
+LEAN = {"observed": None} | dict.fromkeys(("predicted_mean", "predicted_std", "predicted_cost", "repeats"), np.float16)
 
 
 class Learner:
@@ -42,6 +46,8 @@ class Learner:
     COUNTS: tuple[str, ...] = ()
     #: What a checkpoint holds.
     STATE: tuple[str, ...] = ("done", "policy", "log", "counts", "seconds")
+    #: Precision of an array of the record where it is not float32; None: it is left out.
+    PRECISION: Mapping[str, Any] = {}
     policy: Tensor  # parameters, [R, P]
 
     def __init__(self, config: Any, seeds: Sequence[int], shape: Any, kept: Sequence[str] | None = None) -> None:
@@ -126,17 +132,43 @@ class Learner:
 
     def state(self) -> dict[str, Any]:
         """Return everything needed to continue."""
-        return {name: copy.deepcopy(getattr(self, name)) for name in self.STATE}
+        held = {name: getattr(self, name) for name in self.STATE}
+        return {name: x.state() if hasattr(x, "state") else copy.deepcopy(x) for name, x in held.items()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from `state()` of a process made with the same arguments."""
         for name, value in state.items():
-            setattr(self, name, copy.deepcopy(value))
+            if hasattr(own := getattr(self, name), "restore"):
+                own.restore(value)
+            else:
+                setattr(self, name, copy.deepcopy(value))
 
     def result(self) -> dict[str, np.ndarray]:
-        """Return the counts of each trial, [R, trial]."""
-        return {name: value.numpy().astype(np.int32) for name, value in self.counts.items()}
+        """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN."""
+        kinds = {name: self.PRECISION.get(name, np.float32) for name in self.log}
+        arrays = {name: self.log[name].numpy().astype(kind) for name, kind in kinds.items() if kind is not None}
+        return arrays | {name: value.numpy().astype(np.int32) for name, value in self.counts.items()}
 
     def timings(self) -> dict[str, list[float]]:
         """Return CPU seconds per trial of all repetitions together, by part."""
         return {f"{name}_cpu_s": values for name, values in self.seconds.items()}
+
+
+def on_cpu(
+    kind: Callable[[Any, Sequence[int], torch.dtype], Any],
+    settings: type,
+    what: str,
+    config: Any,
+    seeds: Sequence[int],
+    device: str = "cpu",
+    precision: str = "float32",
+) -> Any:
+    """Return the process of one unit, of a kind that runs on the CPU alone; `what` names it in words.
+
+    Raises:
+        RunError: for another device, or an unknown precision.
+        ValueError: without seeds, or for a config of another type than `settings`.
+    """
+    if torch.device(device).type != "cpu":
+        raise RunError(f"{what} run on the CPU, got the device {device}")
+    return kind(of_type(settings, config, "config"), seeds, precision_dtype(precision))

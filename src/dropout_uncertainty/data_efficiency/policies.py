@@ -7,13 +7,12 @@ applies both.
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, Moments, identity, linear_moments, sines
+from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, Moments, identity, sines
 from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import (
     SquaredExponential,
     nan_cholesky,
@@ -28,17 +27,6 @@ NOISE_STD = 0.01
 # Added to the variance of the preliminary output, as in the original (gp/gp2.m); keeps it positive for a
 # certain state.
 VARIANCE_JITTER = 1e-6
-
-
-@runtime_checkable
-class Policy(Protocol):
-    """What both policies offer; D features in, F preliminary outputs out."""
-
-    def __call__(self, x: Float[Tensor, "R *K D"]) -> Float[Tensor, "R *K F"]:
-        """Return the preliminary output at points."""
-
-    def moments(self, x: Gaussian) -> Moments:
-        """Return the moments of the preliminary output for a Gaussian input."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +59,9 @@ class RBFPolicy:
 
     def moments(self, x: Gaussian) -> Moments:
         """Return the moments of the preliminary output for a Gaussian input."""
-        return _jittered(self.functions.moments(x))
+        u = self.functions.moments(x)
+        jitter = VARIANCE_JITTER * identity(u.mean.shape[-1], u.mean.dtype, u.mean.device)
+        return Moments(u.mean, u.cov + jitter, u.slope)
 
 
 @dataclass(frozen=True)
@@ -90,23 +80,6 @@ class Layout:
         """Return length-scales [R, 1, D], centres [R, N, D] and the last numbers [R, 1, N]."""
         scales, centres, numbers = parameters.split((self.dim, self.basis * self.dim, self.basis), -1)
         return scales[:, None], centres.reshape(-1, self.basis, self.dim), numbers[:, None]
-
-
-@dataclass(frozen=True)
-class LinearPolicy:
-    """A linear policy: ``x @ gain + bias``."""
-
-    gain: Float[Tensor, "R D F"]
-    bias: Float[Tensor, "R F"]
-
-    def __call__(self, x: Float[Tensor, "R *K D"]) -> Float[Tensor, "R *K F"]:
-        """Return the preliminary output at points."""
-        points = x.reshape(len(x), -1, x.shape[-1])
-        return (points @ self.gain + self.bias[:, None]).reshape(*x.shape[:-1], -1)
-
-    def moments(self, x: Gaussian) -> Moments:
-        """Return the moments of the preliminary output for a Gaussian input."""
-        return _jittered(linear_moments(x, self.gain, self.bias))
 
 
 def squash(u: Float[Tensor, "*batch"], limit: float) -> Float[Tensor, "*batch"]:
@@ -129,18 +102,13 @@ def _squash_constants(width: int, dtype: torch.dtype, device: torch.device) -> t
     return torch.cat((one, 3 * one), 1), torch.cat((9 * one, one)) / 8
 
 
-def force(policy: Policy, plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
+def force(policy: RBFPolicy, plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
     """Return the squashed force [N] for (observed) states, within the plant's limit."""
     return squash(policy(features(state))[..., 0], plant.force_limit)
 
 
-def force_moments(policy: Policy, limit: float | Tensor, x: Gaussian) -> Moments:
+def force_moments(policy: RBFPolicy, limit: float | Tensor, x: Gaussian) -> Moments:
     """Return the moments of the squashed output, the preliminary one matched by a Gaussian."""
     preliminary = policy.moments(x)
     squashed = squash_moments(preliminary.out, limit)
     return Moments(squashed.mean, squashed.cov, preliminary.slope @ squashed.slope)
-
-
-def _jittered(u: Moments) -> Moments:
-    jitter = VARIANCE_JITTER * identity(u.mean.shape[-1], u.mean.dtype, u.mean.device)
-    return Moments(u.mean, u.cov + jitter, u.slope)

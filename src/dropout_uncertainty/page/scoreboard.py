@@ -187,46 +187,16 @@ def at_a_glance(ax: Axes, judged: Sequence[Judged], reach: float = 5.0) -> Axes:
 
 # ------------------------------------------------------------------ version 1
 
-#: What changed between the versions, claim by claim.
-CHANGED = {
-    "AL1": "printed minima were compared with last points",
-    "AL2": "only our runs varied; the three curves behind the printed number did not",
-    "AL3": "early and late were one bundle; the fair comparison, the same score without draws, was missing",
-    "AL4": "a reversal counted as partly replicated",
-    "AL5": "six comparisons were one bundle",
-    "AL6": "any ratio below 1 counted as far fewer",
-    "AL7": "our finding, now an audit; not finding a difference to Random had counted as support",
-    "AL8": "our finding, now an audit",
-    "AL9": "all labels were one range; not finding a difference had counted as support",
-    "EX1": "the claim is about runs within 25 batches; an interval that holds 25 is not that",
-    "EX2": "ratio and times were one bundle, and a wide interval helped",
-    "EX3": "not finding a gain had counted as support; there is a margin now",
-    "EX4": "a fact about the program, now an audit; a number of repetitions had been made up for it",
-    "EX5": "four comparisons were one bundle",
-    "EX6": "a sign had decided where the interval held 0",
-    "DE1": "a range was judged by its middle",
-    "DE2": "a range was judged by its middle; two settings were one bundle",
-    "DE3": "four panels of two settings were one bundle",
-    "DE4": "judged by the share that solves; now by the cost of learning",
-    "DE5": "four quantities were one bundle",
-    "DE6": "a shown absence of a difference was called partly",
-    "DE7": "judged by trials to solve, of which ten repetitions see too little; now by the cost of learning",
-    "DE8": "six exponents were one bundle",
-    "DE9": "printed trials of other plants were held against ours",
-    "DE10": "success of most repetitions had counted as no need to tune; now the cost has to be equal",
-    "DE11": "two quantities were one bundle",
-}
-
 
 def since_version_1(judged: Sequence[Judged]) -> Cells:
-    """Return the verdict of each claim in version 1 (``records/verdicts-v1.csv``) beside those of its statements."""
+    """Return each claim of ``records/verdicts-v1.csv``: its verdict then, those of its statements, and what changed."""
     rows = []
     for row in stored.table("verdicts-v1"):
         if not row["part"]:
             mine = [j for j in judged if re.fullmatch(rf"{row['id']}[a-z]?", j.statement.id)]
             now = Counter(j.verdict for j in mine)
             said_now = ", ".join(f"{now[verdict]} {verdict}" for verdict in VERDICTS if now[verdict])
-            rows.append([row["id"], row["sentence"], row["verdict"], said_now, CHANGED[row["id"]]])
+            rows.append([row["id"], row["sentence"], row["verdict"], said_now, row["changed"]])
     return ["", "claim of version 1", "then", "its statements now", "what changed"], rows
 
 

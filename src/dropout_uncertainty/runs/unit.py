@@ -15,7 +15,7 @@ from dropout_uncertainty.runs.process import Process
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.settings import config_hash
 
-__all__ = ["RunError", "Unit", "check_device", "check_memory", "differing", "missing", "only_cpu", "precision_dtype"]
+__all__ = ["RunError", "Unit", "check_device", "check_memory", "differing", "missing", "precision_dtype"]
 
 PRECISIONS = {"float64": torch.float64, "float32": torch.float32, "bfloat16": torch.bfloat16}
 
@@ -108,12 +108,6 @@ def check_device(name: str) -> str:
     if name == "cuda" and not torch.cuda.is_available():
         raise RunError("device cuda was asked for, but PyTorch finds no CUDA GPU here: use --device cpu")
     return "cuda" if name != "cpu" and torch.cuda.is_available() else "cpu"
-
-
-def only_cpu(what: str, device: str) -> None:
-    """Raise RunError, naming what runs on the CPU alone, for another device."""
-    if torch.device(device).type != "cpu":
-        raise RunError(f"{what} run on the CPU, got the device {device}")
 
 
 def check_memory(unit: Unit) -> None:

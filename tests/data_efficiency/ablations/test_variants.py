@@ -34,7 +34,7 @@ pytestmark = pytest.mark.usefixtures("coarse_plant")
 
 @pytest.fixture(scope="module")
 def looked(coarse_plant):
-    return finish(variants.start(replace(MECHANISM, **SMALL, **LOOK), (100, 101), precision="float64"))
+    return finish(variants.start_mechanism(replace(MECHANISM, **SMALL, **LOOK), (100, 101), precision="float64"))
 
 
 @pytest.fixture(scope="module")
@@ -128,18 +128,18 @@ def test_everything_is_measured(looked):
 
 def test_a_look_can_be_continued(looked, tmp_path):
     config = replace(MECHANISM, **SMALL, **LOOK)
-    half = variants.start(config, (100, 101), precision="float64")
+    half = variants.start_mechanism(config, (100, 101), precision="float64")
     half.advance()
     half.advance()
     torch.save(half.state(), tmp_path / "state.pt")
-    other = variants.start(config, (100, 101), precision="float64")
+    other = variants.start_mechanism(config, (100, 101), precision="float64")
     other.restore(torch.load(tmp_path / "state.pt", weights_only=True))
     for name, expected in looked.result().items():
         np.testing.assert_array_equal(finish(other).result()[name], expected, err_msg=name)
 
 
 def test_records_of_the_mechanism_are_small():
-    process = probes.Mechanism(MECHANISM, tuple(range(100, 110)), "cpu", torch.float32)
+    process = variants.start_mechanism(MECHANISM, range(100, 110))
     assert sum(array.nbytes for array in process.result().values()) < 5e5
 
 
@@ -224,14 +224,14 @@ TINY = replace(
 
 
 def test_times_go_into_the_provenance_and_values_into_the_record():
-    process = finish(variants.start(TINY, (100, 101)))
+    process = finish(scaling.start(TINY, (100, 101)))
     assert process.total == 18
     record, timings = process.result(), process.timings()
     assert set(record) == {"fit_value", "trial_value"}
     assert all(np.isfinite(array).all() and array.shape == (2, 18) for array in record.values())
     assert np.shape(timings["scaling_policy_s"]) == (2, 18)
     assert np.min(timings["scaling_policy_s"]) > 0
-    again = variants.start(TINY, (101,))
+    again = scaling.start(TINY, (101,))
     again.restore(again.state())
     np.testing.assert_array_equal(finish(again).result()["trial_value"][0], record["trial_value"][1])
     assert asdict(TINY)["deep"]["particles"] == 5
@@ -246,8 +246,8 @@ def test_one_axis_varies_at_a_time():
 
 def test_times_are_taken_on_the_cpu():
     with pytest.raises(ValueError, match="times are taken on one thread of the CPU"):
-        variants.start(TINY, (100,), device="cuda")
+        scaling.start(TINY, (100,), device="cuda")
     with pytest.raises(ValueError, match="got bfloat16"):
-        variants.start(TINY, (100,), precision="bfloat16")
+        scaling.start(TINY, (100,), precision="bfloat16")
     with pytest.raises(ValueError, match="at least one seed"):
-        variants.start(TINY, ())
+        scaling.start(TINY, ())

@@ -12,9 +12,7 @@ from dropout_uncertainty.exploration.deep_sea.world import DeepSea
 @pytest.fixture
 def make():
     gymnasium = pytest.importorskip("gymnasium")
-    from dropout_uncertainty.exploration.deep_sea.environment import ID
-
-    return lambda **settings: gymnasium.make(ID, **settings).unwrapped
+    return lambda **settings: gymnasium.make("dropout_uncertainty/DeepSea-v0", **settings).unwrapped
 
 
 def test_passes_gymnasiums_checker(make):

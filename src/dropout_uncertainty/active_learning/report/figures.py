@@ -181,12 +181,9 @@ def figure_5_2(axes: Sequence[Axes], rows: Mapping[str, Row], original: Mapping[
     differences(axes[1], rows, names)
 
 
-def digits(
-    figure: Figure, images: Float[np.ndarray, "N 28 28"], titles: Sequence[str], *, columns: int = 10
-) -> np.ndarray:
-    """Draw images in a grid, one title each, and return the axes."""
-    rows = -(-len(images) // columns)
-    axes = figure.subplots(rows, columns, squeeze=False)
+def digits(figure: Figure, images: Float[np.ndarray, "N 28 28"], titles: Sequence[str]) -> np.ndarray:
+    """Draw images in rows of ten, one title each, and return the axes."""
+    axes = figure.subplots(-(-len(images) // 10), 10, squeeze=False)
     for ax in axes.flat:
         ax.axis("off")
     for ax, image, title in zip(axes.flat, images, titles, strict=False):
@@ -195,15 +192,13 @@ def digits(
     return axes
 
 
-def class_shares(
-    ax: Axes, rows: Mapping[str, Row], labels: Int[np.ndarray, " M"], *, initial: int = 20
-) -> Float[np.ndarray, "rows 10"]:
+def class_shares(ax: Axes, rows: Mapping[str, Row], labels: Int[np.ndarray, " M"]) -> Float[np.ndarray, "rows 10"]:
     """Draw the share of each digit among the acquired points of each row; return the shares [rows, 10] in %.
 
-    ``labels`` are those of the whole training set.
+    ``labels`` are those of the whole training set. The first 20 points of a row were not acquired.
     """
     shares = np.stack(
-        [100 * np.bincount(labels[row.stack("points")[:, initial:]].ravel(), minlength=10) for row in rows.values()]
+        [100 * np.bincount(labels[row.stack("points")[:, 20:]].ravel(), minlength=10) for row in rows.values()]
     ).astype(float)
     shares /= shares.sum(1, keepdims=True) / 100
     picture = ax.imshow(shares, cmap="cividis", aspect="auto")

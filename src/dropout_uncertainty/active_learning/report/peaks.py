@@ -23,9 +23,9 @@ TAIL, EVEN = "the last minibatch is what is left", "minibatches of equal size"
 Curves = Float[np.ndarray, "R T"]
 
 
-def last_minibatch(labels: Int[np.ndarray, " T"], batch: int = OURS.batch) -> Int[np.ndarray, " T"]:
+def last_minibatch(labels: Int[np.ndarray, " T"]) -> Int[np.ndarray, " T"]:
     """Return how many images the last minibatch of an epoch holds if it is what is left."""
-    return (np.asarray(labels) - 1) % batch + 1
+    return (np.asarray(labels) - 1) % OURS.batch + 1
 
 
 def at_peaks(labels: Int[np.ndarray, " T"]) -> Bool[np.ndarray, " T"]:

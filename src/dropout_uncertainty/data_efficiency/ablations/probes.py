@@ -32,7 +32,7 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
 from dropout_uncertainty.data_efficiency.policies import RBFPolicy
 
-__all__ = ["CLOUDS", "DIAGONAL", "KEPT", "OPTIMISERS", "PARTED", "Mechanism", "MechanismConfig", "valley"]
+__all__ = ["CLOUDS", "DIAGONAL", "OPTIMISERS", "PARTED", "Mechanism", "MechanismConfig", "valley"]
 
 #: The 2 x 2 of statement DE6: masks held over the trajectory or redrawn at each step, moments matched or not.
 CLOUDS: dict[str, dict[str, Any]] = {
@@ -54,8 +54,6 @@ OPTIMISERS: dict[str, dict[str, Any]] = {
 }
 #: Particles have parted where the density between two groups is a quarter below the lower peak or more (`valley`).
 PARTED = 0.25
-#: What is kept of learning itself.
-KEPT = ("costs", "predicted_cost")
 #: A group with a smaller share of the particles counts as stragglers, not as a second mode.
 LEAST_GROUP = 0.1
 
@@ -84,8 +82,10 @@ class Mechanism(DeepPilcoLearning):
     STATE = (*DeepPilcoLearning.STATE, "found")
     config: MechanismConfig
 
-    def __init__(self, config: MechanismConfig, seeds: Sequence[int], device: str, dtype: torch.dtype) -> None:
-        super().__init__(config, seeds, device, dtype, KEPT)
+    def __init__(
+        self, config: MechanismConfig, seeds: Sequence[int], device: str, dtype: torch.dtype, kept: Sequence[str] | None
+    ) -> None:
+        super().__init__(config, seeds, device, dtype, kept)
         self.measured = tuple(trial for trial in config.measured if trial <= config.trials)
         steps, clouds, ways, horizons = config.plant.steps, len(CLOUDS), len(MATCHING), len(config.horizons)
         sizes = {

@@ -21,17 +21,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
-from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, dtype_of
 from dropout_uncertainty.data_efficiency.deep_pilco.particles import match
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import standardised
-from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian, linear_moments
+from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian
 from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import SquaredExponential
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.pilco.learner import PILCO_PAPER, PilcoConfig
 from dropout_uncertainty.rng import check_seeds, generator
 from dropout_uncertainty.runs.process import threads
 
-__all__ = ["AXES", "METHODS", "Scaling", "ScalingConfig"]
+__all__ = ["AXES", "METHODS", "Scaling", "ScalingConfig", "start"]
 
 #: Deep PILCO with the moments of all dimensions together (`OURS`), and of each alone (thesis algorithm 4).
 METHODS = ("pilco", "deep-pilco", "deep-pilco-diagonal")
@@ -169,9 +169,8 @@ def gaussian_trial(model: SquaredExponential, inputs: Float[Tensor, "D Q"], step
     state = Gaussian(inputs.new_zeros(1, d), START_STD**2 * torch.eye(d, dtype=inputs.dtype)[None])
     total = inputs.new_zeros(())
     for _ in range(steps):
-        seen = linear_moments(state, inputs)
-        change = model.moments(seen.out)
-        shared = state.cov @ seen.slope @ change.slope
+        change = model.moments(Gaussian(state.mean @ inputs, inputs.mT @ state.cov @ inputs))
+        shared = state.cov @ inputs @ change.slope
         state = Gaussian(state.mean + change.mean, state.cov + change.cov + shared + shared.mT)
         total = total + state.cov.diagonal(dim1=-2, dim2=-1).sum()
     torch.autograd.grad(total, inputs)
@@ -200,3 +199,17 @@ def timed(work: Callable[[], float]) -> tuple[float, float]:
         work()
         times.append(time.process_time() - begun)
     return min(times), value
+
+
+def start(config: ScalingConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> Scaling:
+    """Return the process of one unit.
+
+    Raises:
+        ValueError: without seeds, for bfloat16, or if times are to be taken elsewhere than on the CPU.
+    """
+    return Scaling(config, seeds, device, dtype_of(precision))
+
+
+def memory(config: ScalingConfig) -> float:
+    """Return an estimate of the bytes that a repetition takes; sizes are timed one repetition after the other."""
+    return 8.0 * 4 * max(config.pilco_sizes[0]) ** 2

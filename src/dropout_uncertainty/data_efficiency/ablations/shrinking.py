@@ -8,6 +8,7 @@ particles, with plain and with standardised noise, beside that of so many partic
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -52,8 +53,10 @@ class Shrinking(DeepPilcoLearning):
 
     config: ShrinkingConfig
 
-    def __init__(self, config: ShrinkingConfig, seeds: Sequence[int], device: str, dtype: torch.dtype) -> None:
-        super().__init__(config, seeds, device, dtype, ("costs", *MEASURED))
+    def __init__(
+        self, config: ShrinkingConfig, seeds: Sequence[int], device: str, dtype: torch.dtype, kept: Sequence[str] | None
+    ) -> None:
+        super().__init__(config, seeds, device, dtype, kept)
         size = config.plant.steps, 4
         sizes = {name: size if name == "many_variance" else (len(NOISE), *size) for name in MEASURED}
         self.log |= self._blank(sizes, self.total)
@@ -86,18 +89,10 @@ LEARNERS = {"as-text": AS_TEXT, "as-paper": AS_WRITTEN, "ours": OURS}
 CONFIGS = {f"{FAMILY}/{name}": widened(ShrinkingConfig, config, trials=TRIALS) for name, config in LEARNERS.items()}
 
 
-def start(config: ShrinkingConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> Shrinking:
-    """Return the process of one unit.
-
-    Raises:
-        ValueError: without seeds, or for bfloat16.
-    """
-    return Shrinking(config, seeds, device, learner.dtype_of(precision))
-
-
 def memory(config: ShrinkingConfig) -> float:
     """Return an estimate of the bytes that a repetition takes: the activations of many particles at one step."""
     return learner.memory(config) + 4.0 * config.many * (sum(config.hidden) + config.basis) * 8
 
 
+start = partial(learner.start, kind=Shrinking, kept=("costs", *MEASURED))
 SWEEPS = [Sweep(EXPERIMENT, CONFIGS, start, ("float32", "float64"), GROUP, 10, memory)]

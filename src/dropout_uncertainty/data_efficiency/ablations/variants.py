@@ -5,14 +5,16 @@ that a variant and `OURS` pair up seed by seed. Beside them stand two measuremen
 looks into the learner `OURS` while it learns, `scaling` takes times on synthetic transitions.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
-from dropout_uncertainty.data_efficiency.ablations.probes import KEPT, Mechanism, MechanismConfig
-from dropout_uncertainty.data_efficiency.ablations.scaling import Scaling, ScalingConfig
+from dropout_uncertainty.data_efficiency.ablations import scaling
+from dropout_uncertainty.data_efficiency.ablations.probes import Mechanism, MechanismConfig
+from dropout_uncertainty.data_efficiency.ablations.scaling import ScalingConfig
 from dropout_uncertainty.data_efficiency.deep_pilco import learner
-from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig, DeepPilcoLearning
+from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS, DeepPilcoConfig
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.settings import widened
@@ -78,44 +80,16 @@ VARIANTS: dict[str, Variant] = {
 #: The measurements beside them.
 MECHANISM = widened(MechanismConfig, OURS, trials=TRIALS)
 SCALING = ScalingConfig()
-CONFIGS: dict[str, VariantConfig | MechanismConfig | ScalingConfig] = {
-    **{f"{FAMILY}/{name}": variant.config for name, variant in VARIANTS.items()},
-    f"{FAMILY}/mechanism": MECHANISM,
-    f"{FAMILY}/scaling": SCALING,
-}
-
-
-def start(
-    config: VariantConfig | MechanismConfig | ScalingConfig,
-    seeds: Sequence[int],
-    device: str = "cpu",
-    precision: str = "float32",
-) -> DeepPilcoLearning | Scaling:
-    """Return the process of one unit; the record of a learner is small.
-
-    Raises:
-        ValueError: without seeds, for bfloat16, or if times are to be taken elsewhere than on the CPU.
-    """
-    dtype = learner.dtype_of(precision)
-    if isinstance(config, ScalingConfig):
-        return Scaling(config, seeds, device, dtype)
-    if isinstance(config, MechanismConfig):
-        return Mechanism(config, seeds, device, dtype)
-    return DeepPilcoLearning(config, seeds, device, dtype, KEPT)
-
-
-def memory(config: VariantConfig | MechanismConfig | ScalingConfig) -> float:
-    """Return an estimate of the bytes that a repetition takes; sizes are timed one repetition after the other."""
-    if isinstance(config, ScalingConfig):
-        return 8.0 * 4 * max(config.pilco_sizes[0]) ** 2
-    return learner.memory(config)
-
-
-#: Times are those of a CPU.
+#: What is kept of learning itself.
+KEPT = ("costs", "predicted_cost")
+start = partial(learner.start, kept=KEPT)
+start_mechanism = partial(start, kind=Mechanism)
 SWEEPS = [
-    Sweep(EXPERIMENT, configs, start, ("float32", "float64"), group, repetitions=10, memory=memory)
-    for configs, group in (
-        ({name: config for name, config in CONFIGS.items() if config is not SCALING}, GROUP),
-        ({f"{FAMILY}/scaling": SCALING}, {"cpu": GROUP["cpu"]}),
+    Sweep(EXPERIMENT, configs, begin, ("float32", "float64"), group, repetitions=10, memory=memory)
+    for configs, begin, group, memory in (
+        ({f"{FAMILY}/{name}": variant.config for name, variant in VARIANTS.items()}, start, GROUP, learner.memory),
+        ({f"{FAMILY}/mechanism": MECHANISM}, start_mechanism, GROUP, learner.memory),
+        ({f"{FAMILY}/scaling": SCALING}, scaling.start, {"cpu": GROUP["cpu"]}, scaling.memory),
     )
 ]
+CONFIGS = {name: config for sweep in SWEEPS for name, config in sweep.configs.items()}

@@ -13,7 +13,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco import particles, planning
 from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import DropoutDynamics
 from dropout_uncertainty.data_efficiency.deep_pilco.ensemble import Ensemble
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import Dynamics, Planning
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, Learner
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, LEAN, Learner
 from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole, Rollout
 from dropout_uncertainty.runs.sweep import Sweep
@@ -141,6 +141,8 @@ class DeepPilcoLearning(Learner):
         "policy_repairs",  # steps left out since predicted cost or gradient was not finite
         "policy_redrawn",  # times the guard tried another policy
     )
+    STATE = (*Learner.STATE, "model")
+    PRECISION = LEAN
     config: DeepPilcoConfig
 
     def __init__(
@@ -258,33 +260,18 @@ class DeepPilcoLearning(Learner):
     def _draw_policy(self, *path: int) -> Tensor:
         return super()._draw_policy(*path).to(self.model.log_noise)
 
-    def state(self) -> dict[str, Any]:
-        """Return everything needed to continue."""
-        return super().state() | {"model": self.model.state()}
-
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from `state()` of a process made with the same arguments."""
-        self.model.restore(state["model"])
-        super().restore({name: value for name, value in state.items() if name != "model"})
+        super().restore(state)
         self.policy = self.policy.to(self.model.log_noise)
 
     def result(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN.
-
-        Observed states are left out: they follow from the seed. What is only drawn is kept in half precision, and so
-        is all of a small record.
-        """
-        half = {"predicted_mean", "predicted_std", "predicted_cost", "repeats"}
-        arrays = {
-            name: value.numpy().astype(np.float16 if name in half else np.float32)
-            for name, value in self.log.items()
-            if name != "observed"
-        }
-        counts = super().result()
+        """Return the arrays of the record, see `Learner.result`; those of a small one in half precision."""
+        arrays = super().result()
         if self.kept is None:
-            return arrays | counts | {"shown": np.array(self.shown, dtype=np.int32)}
+            return arrays | {"shown": np.array(self.shown, dtype=np.int32)}
         small = {name: arrays[name].astype(np.float16) for name in self.kept}
-        return small | {name: count.astype(np.int16) for name, count in counts.items()}
+        return small | {name: arrays[name].astype(np.int16) for name in self.COUNTS}
 
 
 def start(
@@ -293,13 +280,14 @@ def start(
     device: str = "cpu",
     precision: str = "float32",
     kept: Sequence[str] | None = None,
+    kind: type[DeepPilcoLearning] = DeepPilcoLearning,
 ) -> DeepPilcoLearning:
-    """Return the process of one unit; `kept` names the arrays of a small record.
+    """Return the process of one unit, of that kind; `kept` names the arrays of a small record.
 
     Raises:
         ValueError: without seeds, or for bfloat16, which has no Cholesky factor.
     """
-    return DeepPilcoLearning(of_type(DeepPilcoConfig, config, "config"), seeds, device, dtype_of(precision), kept)
+    return kind(of_type(DeepPilcoConfig, config, "config"), seeds, device, dtype_of(precision), kept)
 
 
 def dtype_of(precision: str) -> torch.dtype:

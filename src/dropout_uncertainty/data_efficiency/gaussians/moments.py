@@ -36,12 +36,6 @@ class Moments(NamedTuple):
         return Gaussian(self.mean, self.cov)
 
 
-def linear_moments(x: Gaussian, matrix: Float[Tensor, "... D E"], offset: Tensor | float = 0.0) -> Moments:
-    """Return the moments of ``x @ matrix + offset``."""
-    mean = (x.mean @ matrix if matrix.ndim == 2 else (x.mean[..., None, :] @ matrix)[..., 0, :]) + offset
-    return Moments(mean, matrix.mT @ x.cov @ matrix, matrix)
-
-
 def sines(mean: Float[Tensor, "... D"], cov: Float[Tensor, "... D D"]) -> tuple[Tensor, Tensor, Tensor]:
     """Return mean [..., D] and covariance [..., D, D] of sin x for a Gaussian x, and the mean of cos x [..., D]."""
     row, column = mean[..., :, None], mean[..., None, :]

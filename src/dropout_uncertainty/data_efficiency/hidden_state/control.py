@@ -9,6 +9,7 @@ Replicas R first, then particles K.
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,12 @@ from dropout_uncertainty.data_efficiency.deep_pilco.particles import force, mult
 from dropout_uncertainty.data_efficiency.deep_pilco.planning import RBFShape
 from dropout_uncertainty.data_efficiency.hidden_state.models import SEEN, Model, ModelConfig, inputs_of
 from dropout_uncertainty.data_efficiency.hidden_state.prediction import FAMILY, MODELS
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, Learner
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, LEAN, Learner, on_cpu
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
 from dropout_uncertainty.data_efficiency.policies import RBFPolicy, squash
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import only_cpu, precision_dtype
-from dropout_uncertainty.settings import of_type, tidy
+from dropout_uncertainty.settings import tidy
 
 __all__ = ["CONFIGS", "PAST", "ControlConfig", "HiddenLearning", "HiddenPolicy"]
 
@@ -140,6 +140,8 @@ class HiddenLearning(Learner):
     """R repetitions in one batch; a step is a trial, step 0 the random one."""
 
     COUNTS = ("model_repairs", "policy_repairs", "policy_redrawn")
+    STATE = (*Learner.STATE, "model")
+    PRECISION = LEAN
     config: ControlConfig
 
     def __init__(self, config: ControlConfig, seeds: Sequence[int], dtype: torch.dtype) -> None:
@@ -252,38 +254,6 @@ class HiddenLearning(Learner):
 
         return act
 
-    def state(self) -> dict[str, Any]:
-        """Return everything needed to continue."""
-        return super().state() | {"model": self.model.state()}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Continue from `state()` of a process made with the same arguments."""
-        self.model.restore(state["model"])
-        super().restore({name: value for name, value in state.items() if name != "model"})
-
-    def result(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN."""
-        half = {"predicted_mean", "predicted_std", "predicted_cost"}
-        arrays = {
-            name: value.numpy().astype(np.float16 if name in half else np.float32)
-            for name, value in self.log.items()
-            if name != "observed"
-        }
-        return arrays | super().result()
-
-
-def start(
-    config: ControlConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32"
-) -> HiddenLearning:
-    """Return the process of one unit, on a CPU.
-
-    Raises:
-        RunError: for another device.
-        ValueError: without seeds.
-    """
-    only_cpu("learners of hidden states", device)
-    return HiddenLearning(of_type(ControlConfig, config, "config"), seeds, precision_dtype(precision))
-
 
 CONFIGS = {f"{FAMILY}/control-{name}": ControlConfig(MODELS[name]) for name in ("last-one", "last-four", "lstm-held")}
 
@@ -294,4 +264,5 @@ def memory(config: ControlConfig) -> float:
     return 8.0 * config.plant.steps * max(config.particles, PREDICTED) * wide * 4
 
 
+start = partial(on_cpu, HiddenLearning, ControlConfig, "learners of hidden states")
 SWEEPS = [Sweep(EXPERIMENT, CONFIGS, start, ("float32", "float64"), {"cpu": GROUP["cpu"]}, 10, memory)]

@@ -10,7 +10,7 @@ import hashlib
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +23,10 @@ from torch import Tensor
 from dropout_uncertainty import folders, rng
 from dropout_uncertainty.bayes import Masks
 from dropout_uncertainty.data_efficiency.hidden_state.lstm import LSTM, Memory
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, on_cpu
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import only_cpu, precision_dtype
-from dropout_uncertainty.settings import of_type, tidy
+from dropout_uncertainty.settings import tidy
 
 __all__ = ["CONFIGS", "MASKS", "Language", "LanguageConfig", "encoded", "start", "text"]
 
@@ -178,18 +177,6 @@ class Language:
         return {name: value.numpy().astype(np.float32) for name, value in self.log.items()}
 
 
-def start(config: LanguageConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> Language:
-    """Return the process of one unit, on a CPU.
-
-    Raises:
-        RunError: for another device.
-        ValueError: without seeds.
-        UserError: if the text is missing.
-    """
-    only_cpu("language models", device)
-    return Language(of_type(LanguageConfig, config, "config"), seeds, precision_dtype(precision))
-
-
 CONFIGS = {f"hidden/language-{masks}": LanguageConfig(masks) for masks in MASKS}
 
 
@@ -198,4 +185,5 @@ def memory(config: LanguageConfig) -> float:
     return 4.0 * config.batch * config.length * (config.width * 24 + 1000)
 
 
+start = partial(on_cpu, Language, LanguageConfig, "language models")
 SWEEPS = [Sweep(EXPERIMENT, CONFIGS, start, ("float32", "float64"), {"cpu": 5}, 5, memory)]

@@ -7,6 +7,7 @@ their first observation and their forces alone.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,12 @@ from torch import Tensor
 
 from dropout_uncertainty import rng
 from dropout_uncertainty.data_efficiency.hidden_state.models import SEEN, ModelConfig, free_run, inputs_of
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, on_cpu
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import only_cpu, precision_dtype
-from dropout_uncertainty.settings import of_type, widened
+from dropout_uncertainty.settings import widened
 
 __all__ = ["CONFIGS", "FAMILY", "MODELS", "Prediction", "PredictionConfig", "stored_trials"]
 
@@ -116,20 +116,6 @@ class Prediction:
         return {name: value.numpy().astype(np.float32) for name, value in self.log.items()}
 
 
-def start(
-    config: PredictionConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32"
-) -> Prediction:
-    """Return the process of one unit, on a CPU.
-
-    Raises:
-        RunError: for another device.
-        ValueError: without seeds.
-        UserError: if the trials are not stored.
-    """
-    only_cpu("models of hidden states", device)
-    return Prediction(of_type(PredictionConfig, config, "config"), seeds, precision_dtype(precision))
-
-
 FEED_FORWARD = ModelConfig("feed-forward")
 LSTM = ModelConfig("recurrent", hidden=(64,))
 #: Models by name.
@@ -148,4 +134,5 @@ def memory(config: PredictionConfig) -> float:
     return 4.0 * config.ahead * config.particles * PAPER.steps * sum(config.hidden) * 12
 
 
+start = partial(on_cpu, Prediction, PredictionConfig, "models of hidden states")
 SWEEPS = [Sweep(EXPERIMENT, CONFIGS, start, ("float32", "float64"), {"cpu": GROUP["cpu"]}, 20, memory)]

@@ -19,6 +19,7 @@ CURVATURE = 0.5
 LONGEST, SHORTEST = 1.0, 1e-7  # length of a search's first step, in units of the parameters
 # Extrapolation goes at most so many times as far; interpolation stays this share of the bracket away from its ends.
 EXTRAPOLATION, MARGIN = 5.0, 0.1
+TOLERANCE = 1e-4  # the largest entry of a gradient that counts as zero
 
 
 class Point(NamedTuple):
@@ -45,24 +46,21 @@ class Outcome(NamedTuple):
     failures: int
 
 
-def minimise(
-    function: Function, x: np.ndarray, searches: int, evaluations: int = 30, tolerance: float = 1e-4
-) -> Outcome:
+def minimise(function: Function, x: np.ndarray, searches: int, evaluations: int = 30) -> Outcome:
     """Return a point of lower value, after at most so many line searches of so many evaluations each.
 
-    Ends early where two line searches in a row fail, or where no entry of the gradient is above the tolerance.
+    Ends early where two line searches in a row fail, or where no entry of the gradient is above ``TOLERANCE``.
 
     Args:
         function: value and gradient at a point; values that are not finite turn a search back.
         x: where to begin; returned as it is if the function is not finite there.
         searches: the limit on line searches.
         evaluations: the limit on evaluations per line search.
-        tolerance: the largest entry of a gradient that counts as zero.
     """
     value, gradient = function(x)
     inverse = np.eye(len(x))
     step, done, failures, failed = 1 / (1 + float(gradient @ gradient)), 0, 0, False
-    while done < searches and math.isfinite(value) and np.abs(gradient).max() > tolerance:
+    while done < searches and math.isfinite(value) and np.abs(gradient).max() > TOLERANCE:
         direction = -inverse @ gradient
         length = float(np.linalg.norm(direction))
         step = min(max(step, SHORTEST / length), LONGEST / length)

@@ -1,6 +1,7 @@
 """The runs of the learners without a model: trials on the real plant, a learning step or more at every step of it."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from torch import Generator, Tensor
 
 from dropout_uncertainty import rng
-from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP
+from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, GROUP, on_cpu
 from dropout_uncertainty.data_efficiency.model_free.config import (
     DDPG_AS_PRINTED,
     DDPG_TUNED,
@@ -26,8 +27,6 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cost import cost, solved
 from dropout_uncertainty.data_efficiency.plant.extrapolation import step_each
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.runs.unit import only_cpu, precision_dtype
-from dropout_uncertainty.settings import of_type
 
 __all__ = ["CONFIGS", "ModelFree", "start"]
 
@@ -45,8 +44,8 @@ class ModelFree:
     nor does one whose networks have diverged, which stays among the unsolved.
     """
 
-    def __init__(self, config: ModelFreeConfig, seeds: Sequence[int], dtype: torch.dtype = torch.float32) -> None:
-        self.config, self.seeds, self.dtype = of_type(ModelFreeConfig, config, "config"), rng.check_seeds(seeds), dtype
+    def __init__(self, config: ModelFreeConfig, seeds: Sequence[int], dtype: torch.dtype) -> None:
+        self.config, self.seeds, self.dtype = config, rng.check_seeds(seeds), dtype
         plant = config.plant
         cartpole.check_interval(plant)
         inputs = len(cartpole.FEATURE_NAMES) + config.time_input
@@ -175,22 +174,13 @@ class ModelFree:
         return {name: values.numpy().astype(np.float32) for name, values in self.log.items()}
 
 
-def start(config: ModelFreeConfig, seeds: Sequence[int], device: str = "cpu", precision: str = "float32") -> ModelFree:
-    """Return the process of one unit, which computes on the CPU.
-
-    Raises:
-        RunError: for another device, or an unknown precision.
-    """
-    only_cpu("learners without a model", device)
-    return ModelFree(config, seeds, precision_dtype(precision))
-
-
 def memory(config: ModelFreeConfig) -> float:
     """Return an estimate of the bytes that a repetition takes: its memory twice, for a checkpoint, and its log."""
     transitions = min(config.memory, config.trials * config.plant.steps)
     return 2.0 * transitions * (4 * 15 + 8)
 
 
+start = partial(on_cpu, ModelFree, ModelFreeConfig, "learners without a model")
 SWEEPS = [
     Sweep(EXPERIMENT, CONFIGS, start, ("float32", "float64"), {"cpu": GROUP["cpu"]}, repetitions=20, memory=memory)
 ]

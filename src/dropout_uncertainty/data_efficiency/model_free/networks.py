@@ -24,7 +24,7 @@ def _even(generator: Generator, shape: tuple[int, ...], bound: float) -> Tensor:
 class Network:
     """R networks of one shape, with ReLU between their layers.
 
-    First weights and biases are drawn evenly within 1 / √(inputs of the layer), those of the last layer within ``last``
+    First weights and biases are drawn evenly within 1 / √(inputs of the layer), those of the last layer within 0.003
     (Lillicrap et al., 2015, experiment details).
 
     Args:
@@ -33,7 +33,6 @@ class Network:
         path: names of the streams of the first weights.
         normalised: how many layers of units are batch-normalised, from the inputs on; hidden ones before their ReLU.
         joined: layer (1: the first hidden one) to whose units further inputs are joined, and the number of these.
-        last: see above.
 
     Attributes:
         parameters: weights [R, inputs, outputs] and biases [R, 1, outputs] layer by layer, then scale and shift
@@ -48,14 +47,13 @@ class Network:
         *path: str | int,
         normalised: int = 0,
         joined: tuple[int, int] = (0, 0),
-        last: float = 3e-3,
         dtype: torch.dtype = torch.float32,
     ) -> None:
         self.layers, self.normalised, self.joined = len(sizes) - 1, normalised, joined[0]
         self.parameters: list[Tensor] = []
         for layer in range(self.layers):
             inputs = sizes[layer] + (joined[1] if 0 < layer == joined[0] else 0)
-            bound = inputs**-0.5 if layer < self.layers - 1 else last
+            bound = inputs**-0.5 if layer < self.layers - 1 else 3e-3
             draw = partial(_even, shape=(inputs + 1, sizes[layer + 1]), bound=bound)
             drawn = rng.stacked(draw, seeds, "init", *path, layer).to(dtype)
             self.parameters += [drawn[:, :-1].contiguous(), drawn[:, -1:].contiguous()]

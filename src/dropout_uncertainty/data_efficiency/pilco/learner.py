@@ -82,6 +82,7 @@ class PilcoLearning(Learner):
         "policy_redrawn",  # the policy could not be evaluated and began anew from a random one
     )
     STATE = (*Learner.STATE, "inputs", "targets", "hyper", "inducing")
+    PRECISION = dict.fromkeys(CONTINUED, np.float64)
     config: PilcoConfig
 
     def __init__(
@@ -191,13 +192,9 @@ class PilcoLearning(Learner):
         return self.shape.initial(config.plant, config.target_std, config.log_length_scales, generator)
 
     def result(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the record, [R, trial, ...]; entries of the random trial that mean nothing are NaN."""
-        log = {
-            name: value.numpy() if name in self.CONTINUED else value.numpy().astype(np.float32)
-            for name, value in self.log.items()
-        }
+        """Return the arrays of the record, see `Learner.result`."""
         inducing = {} if self.inducing is None else {"inducing": self.inducing.numpy()}
-        arrays = log | inducing | super().result()
+        arrays = super().result() | inducing
         return arrays if self.kept is None else {name: arrays[name] for name in (*self.kept, *self.COUNTS)}
 
     def take_over(self, arrays: Mapping[str, np.ndarray], seconds: Mapping[str, Sequence[float]]) -> None:

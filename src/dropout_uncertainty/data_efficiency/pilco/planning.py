@@ -18,8 +18,8 @@ from dropout_uncertainty.data_efficiency.gaussians.squared_exponential import Li
 from dropout_uncertainty.data_efficiency.minimise.batched import Minimum, minimise
 from dropout_uncertainty.data_efficiency.pilco import gaussian_process as gp
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole, features
-from dropout_uncertainty.data_efficiency.plant.cost import cost, cost_moments
-from dropout_uncertainty.data_efficiency.policies import Layout, Policy, RBFPolicy, force, force_moments
+from dropout_uncertainty.data_efficiency.plant.cost import cost, mean_cost
+from dropout_uncertainty.data_efficiency.policies import Layout, RBFPolicy, force, force_moments
 
 DIM = len(FEATURE_NAMES)
 
@@ -42,7 +42,7 @@ def transitions(observed: Float[Tensor, "R times 4"], forces: Float[Tensor, "R s
     return inputs, (observed[:, 1:] - observed[:, :-1]).mT
 
 
-def propagate(model: Model, policy: Policy, limit: float, state: Gaussian) -> Gaussian:
+def propagate(model: Model, policy: RBFPolicy, limit: float, state: Gaussian) -> Gaussian:
     """Return the distribution of the next state (x, v, w, theta): features, policy, squash, dynamics, sum.
 
     The model's noise is not added to the state, as in the original (pilco-matlab, base/propagated.m).
@@ -55,7 +55,7 @@ def propagate(model: Model, policy: Policy, limit: float, state: Gaussian) -> Ga
     return Gaussian(state.mean + change.mean, state.cov + change.cov + shared + shared.mT)
 
 
-def predict(model: Model, policy: Policy, plant: CartPole, start: Gaussian, steps: int | None = None) -> Gaussian:
+def predict(model: Model, policy: RBFPolicy, plant: CartPole, start: Gaussian, steps: int | None = None) -> Gaussian:
     """Return the predicted state distributions of times 0 ... T: mean [R, T + 1, 4] and covariance [R, T + 1, 4, 4].
 
     Raises:
@@ -81,7 +81,7 @@ def start_distribution(plant: CartPole, replicas: int, device: torch.device | st
 
 def expected_costs(plant: CartPole, states: Gaussian) -> Float[Tensor, "R steps"]:
     """Return the expected cost of each predicted state after the first, times 1 ... T."""
-    return cost_moments(plant, Gaussian(states.mean[:, 1:], states.cov[:, 1:]))[0]
+    return mean_cost(plant, Gaussian(states.mean[:, 1:], states.cov[:, 1:]))
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ class _Memory:
 
 
 def predict_points(
-    model: SquaredExponential, policy: Policy, plant: CartPole, start: Float[Tensor, "R 4"]
+    model: SquaredExponential, policy: RBFPolicy, plant: CartPole, start: Float[Tensor, "R 4"]
 ) -> Float[Tensor, "R times 4"]:
     """Return the trajectory that a model without doubt predicts: the posterior mean is taken for the truth."""
     states = [start]

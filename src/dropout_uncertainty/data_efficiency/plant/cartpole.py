@@ -145,15 +145,6 @@ def step(plant: CartPole, state: Tensor, force: Tensor, substeps: int = SUBSTEPS
     return state
 
 
-def energy(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch"]:
-    """Return the mechanical energy [J]; zero for the pole at rest and level with the pivot."""
-    _check_states(state)
-    _, v, w, theta = state.unbind(-1)
-    m, length = plant.pole_mass, plant.pole_length
-    kinetic = (plant.cart_mass + m) * v**2 / 2 - m * length * v * w * theta.cos() / 2 + m * length**2 * w**2 / 6
-    return kinetic + m * plant.gravity * length * theta.cos() / 2
-
-
 def tip(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 2"]:
     """Return the horizontal and vertical position [m] of the pole's end, the track at height 0.
 
@@ -175,19 +166,16 @@ def features(state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 5"]:
     return torch.cat((state[..., :3], state[..., 3:].sin(), state[..., 3:].cos()), -1)
 
 
-def start_states(
-    plant: CartPole, shape: tuple[int, ...], generator: Generator, dtype: torch.dtype = torch.float64
-) -> Float[Tensor, "*shape 4"]:
+def start_states(plant: CartPole, shape: tuple[int, ...], generator: Generator) -> Float[Tensor, "*shape 4"]:
     """Return draws from the start distribution p(X_0)."""
-    noise = torch.randn(*shape, 4, generator=generator, dtype=dtype, device=generator.device)
-    return torch.tensor(plant.start_mean, dtype=dtype, device=noise.device) + plant.start_std * noise
+    noise = torch.randn(*shape, 4, generator=generator, dtype=torch.float64, device=generator.device)
+    return noise.new_tensor(plant.start_mean) + plant.start_std * noise
 
 
-def observation_noise(
-    plant: CartPole, shape: tuple[int, ...], generator: Generator, dtype: torch.dtype = torch.float64
-) -> Float[Tensor, "*shape 4"]:
+def observation_noise(plant: CartPole, shape: tuple[int, ...], generator: Generator) -> Float[Tensor, "*shape 4"]:
     """Return draws of the noise added to true states to make observed ones."""
-    return plant.observation_noise * torch.randn(*shape, 4, generator=generator, dtype=dtype, device=generator.device)
+    noise = torch.randn(*shape, 4, generator=generator, dtype=torch.float64, device=generator.device)
+    return plant.observation_noise * noise
 
 
 @dataclass(frozen=True)

@@ -27,43 +27,21 @@ def cost(plant: CartPole, state: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*b
     return 1 - torch.exp(-squared_distance / (2 * plant.cost_width**2))
 
 
-def cost_moments(plant: CartPole, state: Gaussian) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-    """Return mean and variance of the cost of a Gaussian state, its features matched by a Gaussian."""
+def mean_cost(plant: CartPole, state: Gaussian) -> Float[Tensor, "*batch"]:
+    """Return the expected cost of a Gaussian state, its features matched by a Gaussian."""
     length = plant.pole_length
     # rows: horizontal and vertical distance of the tip from its goal, in widths, as functions of the features
     factor = state.mean.new_tensor([[1.0, 0, 0, -length, 0], [0, 0, 0, 0, length]]) / plant.cost_width
     target = state.mean.new_tensor([0.0, 0, 0, 0, 1])
-    mean, variance, _ = saturating_moments(feature_moments(state).out, target, factor)
-    return mean, variance
+    return saturating_mean(feature_moments(state).out, target, factor)
 
 
-def saturating_moments(
-    z: Gaussian, target: Tensor, factor: Tensor
-) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch D"]]:
-    """Return mean, variance and slope in z of ``1 - exp(-|factor (z - target)|^2 / 2)`` for a Gaussian z.
-
-    Args:
-        z: the Gaussian of D dimensions.
-        target: [D], where the value is 0.
-        factor: [P, D], what is measured of the distance.
-
-    Raises:
-        ValueError: if mean, target and factor disagree about the length of z.
-    """
-    if not z.mean.shape[-1] == target.shape[-1] == factor.shape[-1]:
-        lengths = z.mean.shape[-1], target.shape[-1], factor.shape[-1]
-        raise ValueError(f"expected mean, target and factor for a z of one length, got lengths {lengths}")
+def saturating_mean(z: Gaussian, target: Float[Tensor, " D"], factor: Float[Tensor, "P D"]) -> Float[Tensor, "*batch"]:
+    """Return the mean of ``1 - exp(-|factor (z - target)|^2 / 2)`` for a Gaussian z of D dimensions."""
     offset, spread = (z.mean - target) @ factor.mT, factor @ z.cov @ factor.mT
-    first, gain = _expected_exponential(offset, spread)
-    second, _ = _expected_exponential(2**0.5 * offset, 2 * spread)
-    return 1 - first, second - first**2, first[..., None] * (gain @ factor)
-
-
-def _expected_exponential(offset: Tensor, cov: Tensor) -> tuple[Tensor, Tensor]:
-    """Return E exp(-|y|^2 / 2) for y ~ N(offset, cov), and (I + cov)^-1 offset."""
-    inverse, log_det = spd_inverse(identity(offset.shape[-1], cov.dtype, cov.device) + cov)
+    inverse, log_det = spd_inverse(identity(len(factor), spread.dtype, spread.device) + spread)
     gain = (inverse @ offset[..., None])[..., 0]
-    return torch.exp(((offset * gain).sum(-1) + log_det) / -2), gain
+    return 1 - torch.exp(((offset * gain).sum(-1) + log_det) / -2)
 
 
 def solved(plant: CartPole, costs: Float[Tensor, "*batch steps"]) -> Bool[Tensor, "*batch"]:

@@ -15,16 +15,14 @@ CART = (0.3, 0.12)  # width and height of the drawn cart [m]
 DARK = "#333333"
 
 
-def cart_pole(
-    ax: "Axes", plant: CartPole, state: Float[np.ndarray, " 4"], *, colour: str = DARK, alpha: float = 1.0
-) -> "Axes":
+def cart_pole(ax: "Axes", plant: CartPole, state: Float[np.ndarray, " 4"], *, alpha: float = 1.0) -> "Axes":
     """Draw cart and pole of a state (x [m], v, w, theta [rad]) to scale, the pivot at height 0."""
     x = float(state[0])
     end = tip(plant, torch.as_tensor(np.asarray(state, float))).numpy()
     sides, heights = x + np.array([-1, 1, 1, -1]) * CART[0] / 2, np.array([-1, -1, 1, 1]) * CART[1] / 2
-    ax.fill(sides, heights, facecolor="#BBBBBB", edgecolor=colour, alpha=alpha, zorder=2)
-    ax.plot([x, end[0]], [0, end[1]], color=colour, linewidth=4, alpha=alpha, solid_capstyle="round", zorder=3)
-    ax.plot(x, 0, "o", color=colour, markersize=5, alpha=alpha, zorder=4)
+    ax.fill(sides, heights, facecolor="#BBBBBB", edgecolor=DARK, alpha=alpha, zorder=2)
+    ax.plot([x, end[0]], [0, end[1]], color=DARK, linewidth=4, alpha=alpha, solid_capstyle="round", zorder=3)
+    ax.plot(x, 0, "o", color=DARK, markersize=5, alpha=alpha, zorder=4)
     ax.set_aspect("equal")
     return ax
 

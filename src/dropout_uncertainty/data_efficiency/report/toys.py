@@ -11,7 +11,7 @@ from torch import Tensor
 
 from dropout_uncertainty.data_efficiency.gaussians.moments import Gaussian
 from dropout_uncertainty.data_efficiency.plant.cartpole import CartPole
-from dropout_uncertainty.data_efficiency.plant.cost import cost_moments
+from dropout_uncertainty.data_efficiency.plant.cost import mean_cost
 from dropout_uncertainty.page.plotting import COLOURS, SMALL
 
 __all__ = ["expected_cost", "look_ahead", "model", "walking_particles"]
@@ -58,8 +58,9 @@ def expected_cost(ax: Axes, plant: CartPole, stds: Sequence[float]) -> Axes:
     mean[:, 3] = angle
     for std, shade in zip(stds, np.linspace(1.0, 0.4, len(stds)), strict=True):
         cov[:, 3, 3] = std**2
-        value = cost_moments(plant, Gaussian(mean, cov))[0]
-        ax.plot(angle, value, color=COLOURS["pilco"], alpha=shade, label=f"std {std:g} rad")
+        ax.plot(
+            angle, mean_cost(plant, Gaussian(mean, cov)), color=COLOURS["pilco"], alpha=shade, label=f"std {std:g} rad"
+        )
     ax.set(xlabel="mean angle [rad]; 0 is upright", ylabel="expected cost")
     ax.legend()
     return ax

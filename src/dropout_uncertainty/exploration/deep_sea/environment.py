@@ -17,8 +17,6 @@ try:
 except ImportError as missing:
     raise UserError("the environment needs Gymnasium, which is not installed: pip install 'gymnasium>=1'") from missing
 
-ID = "dropout_uncertainty/DeepSea-v0"
-
 
 class DeepSeaEnv(gymnasium.Env):
     """One sea, whose map of actions stays the same through all episodes.

@@ -307,15 +307,13 @@ def crossing_table(groups: Mapping[str, Agents], target: float = TARGET) -> tupl
     return heads, cells
 
 
-def block_table(
-    groups: Mapping[str, Agents], blocks: Sequence[tuple[int, int]] = BLOCKS
-) -> tuple[list[str], list[list[object]]]:
+def block_table(groups: Mapping[str, Agents]) -> tuple[list[str], list[list[object]]]:
     """Return heads and cells: mean reward over ranges of ticks; a run that ends within one counts as far as it goes."""
-    heads = ["", "worlds", *(f"{start / 1000:g}k–{stop / 1000:g}k" for start, stop in blocks)]
+    heads = ["", "worlds", *(f"{start / 1000:g}k–{stop / 1000:g}k" for start, stop in BLOCKS)]
     cells: list[list[object]] = []
     for group, agents in groups.items():
         for curves in agents.values():
-            means = [curves.mean(*block) for block in blocks]
+            means = [curves.mean(*block) for block in BLOCKS]
             shown = [in_words(t_interval(m[~np.isnan(m)]), ".3f") if not np.isnan(m).all() else None for m in means]
             cells.append([curves.label, group, *shown])
     return heads, cells

@@ -80,7 +80,7 @@ def verdict(folder, name):
 
 
 def test_every_config_is_shown():
-    shown = {f"hidden/{name}" for name in (*MODELS, *(f"language-{masks}" for masks in LANGUAGES))}
+    shown = {f"hidden/{name}" for name in (*MODELS, *LANGUAGES)}
     assert shown | {*CONTROL.values()} - {"deep-pilco-ours"} == {*chapter.CONFIGS}
 
 
@@ -150,11 +150,11 @@ def test_pictures_of_texts_and_learners_show_the_numbers(folder):
     train, test = figures.readings(found.languages).axes
     assert [ax.get_title() for ax in (train, test)] == ["text that it was trained on", "other text"]
     for ax, part in ((train, "train"), (test, "test")):
-        assert set(labelled(ax)) == {LANGUAGES["fresh"], LANGUAGES["held"]}
-        for masks in ("fresh", "held"):
-            (record,) = records.find("data_efficiency", name=f"hidden/language-{masks}", folder=folder)
+        assert set(labelled(ax)) == {LANGUAGES["language-fresh"], LANGUAGES["language-held"]}
+        for name in ("language-fresh", "language-held"):
+            (record,) = records.find("data_efficiency", name=f"hidden/{name}", folder=folder)
             np.testing.assert_allclose(
-                labelled(ax)[LANGUAGES[masks]].get_ydata(), record.arrays[part].mean(0), rtol=1e-5
+                labelled(ax)[LANGUAGES[name]].get_ydata(), record.arrays[part].mean(0), rtol=1e-5
             )
     costs, ever = figures.learning(found.learners).axes
     assert [ax.get_ylabel() for ax in (costs, ever)] == ["mean cost per step", "share of repetitions solved by then"]

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 
 from dropout_uncertainty.data_efficiency.configs import CONFIGS
 from dropout_uncertainty.data_efficiency.deep_pilco.learner import OURS
-from dropout_uncertainty.data_efficiency.model_free.config import ENDS, SEARCH
+from dropout_uncertainty.data_efficiency.model_free.config import ENDS, SEARCH, ModelFreeConfig
 from dropout_uncertainty.data_efficiency.model_free.report import analysis, chapter, figures
 from dropout_uncertainty.data_efficiency.report.analysis import from_arrays, from_records, load, solved_table
 from dropout_uncertainty.data_efficiency.report.statements import times_as_many
@@ -51,11 +51,18 @@ def folder(tmp_path_factory):
     return folder
 
 
+def chosen(method, folder=None):
+    """Return the best setting of the search, with as many trials as a published run has."""
+    runs = analysis.searched(folder)
+    costs = {name: analysis.end_cost(run).mean() for name, run in runs.items() if SEARCH[name].method == method}
+    return replace(SEARCH[min(costs, key=costs.get)], trials=ModelFreeConfig().trials)
+
+
 def test_the_search_goes_by_the_cost_of_its_last_tests(folder):
     assert set(analysis.searched(folder)) == {
         "ddpg-search/printed", "ddpg-search/noise-0.5", "naf-search/rate-0.001-noise-0.3",
     }  # fmt: skip
-    assert analysis.chosen("ddpg", folder) == replace(SEARCH["ddpg-search/noise-0.5"], trials=2_500)
+    assert chosen("ddpg", folder) == replace(SEARCH["ddpg-search/noise-0.5"], trials=2_500)
     heads, cells = analysis.search_table(folder)
     printed, noise, naf = cells
     assert [len(row) for row in cells] == [len(heads)] * 3
@@ -70,7 +77,7 @@ def test_the_search_goes_by_the_cost_of_its_last_tests(folder):
 def test_what_was_searched_and_chosen_is_what_is_run():
     """Where this fails the search has grown: the published runs are then of a setting that is not the best."""
     for method in ("ddpg", "naf"):
-        assert CONFIGS[method] == analysis.chosen(method)
+        assert CONFIGS[method] == chosen(method)
 
 
 def test_another_end_is_held_against_the_same_trials_of_the_same_seeds(folder):

@@ -85,14 +85,13 @@ def _joined(a: float, b: float, phi: float) -> float:
     return max(a * a - 2 * phi * a * b + b * b, 0.0) ** 0.5
 
 
-def compare(name: str, folder: Path | None = None, against: str | None = None) -> Comparison | None:
-    """Return a variant beside `OURS`, or beside another variant; None if one has no record or no seed is shared.
+def compare(name: str, folder: Path | None = None) -> Comparison | None:
+    """Return a variant beside `OURS`; None if one has no record or no seed is shared.
 
     Raises:
         RecordError: if a record cannot be trusted.
     """
-    first = analysis.load(f"{FAMILY}/{name}", folder)
-    second = analysis.load(BASELINE if against is None else f"{FAMILY}/{against}", folder)
+    first, second = analysis.load(f"{FAMILY}/{name}", folder), analysis.load(BASELINE, folder)
     return pair(name, first, second) if first and second else None
 
 

@@ -1,6 +1,6 @@
 """What the notebook *What matters in Deep PILCO* asks for in one call: the runs of a profile, and their sentences."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dropout_uncertainty.data_efficiency import configs
-from dropout_uncertainty.data_efficiency.ablations import variants
+from dropout_uncertainty.data_efficiency.ablations import scaling, variants
 from dropout_uncertainty.data_efficiency.ablations.probes import CLOUDS
 from dropout_uncertainty.data_efficiency.ablations.report import analysis as matters
 from dropout_uncertainty.data_efficiency.ablations.report.analysis import Comparison, Inside, Times, factor
@@ -103,7 +103,8 @@ def runs(profile: str, tiny: Mapping[str, Any] = TINY) -> Runs:
 
 def _compared(tiny: Mapping[str, Any]) -> list[Comparison]:
     def learn(config: variants.VariantConfig) -> Learning:
-        return analysis.from_arrays("live", config.plant, _finished(replace(config, **tiny)).result(), SEEDS)
+        process = _finished(variants.start, replace(config, **tiny))
+        return analysis.from_arrays("live", config.plant, process.result(), SEEDS)
 
     ours = learn(BASE)
     pairs = [matters.pair(name, learn(VARIANTS[name].config), ours) for name in LIVE]
@@ -111,15 +112,15 @@ def _compared(tiny: Mapping[str, Any]) -> list[Comparison]:
 
 
 def _seen(tiny: Mapping[str, Any]) -> Inside:
-    return Inside.of(_finished(replace(variants.MECHANISM, **{**TINY_MECHANISM, **tiny})))
+    return Inside.of(_finished(variants.start_mechanism, replace(variants.MECHANISM, **{**TINY_MECHANISM, **tiny})))
 
 
 def _taken() -> Times:
-    return Times.of(_finished(replace(variants.SCALING, **TINY_SCALING)))
+    return Times.of(_finished(scaling.start, replace(variants.SCALING, **TINY_SCALING)))
 
 
-def _finished(config: Any) -> Any:
-    return finished(variants.start(config, SEEDS))
+def _finished(start: Callable[..., Any], config: Any) -> Any:
+    return finished(start(config, SEEDS))
 
 
 def changes(base: variants.VariantConfig) -> tuple[list[str], list[list[object]]]:

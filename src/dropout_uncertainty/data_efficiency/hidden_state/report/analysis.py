@@ -35,7 +35,7 @@ MODELS = {
 CONTROL = {name.removeprefix(f"{FAMILY}/control-"): name for name in control.CONFIGS} | {"seen": "deep-pilco-ours"}
 SEEN = "the whole state, Deep PILCO's own network"
 #: Language models in words, by their configs.
-LANGUAGES = {"none": "no dropout", "fresh": "fresh masks", "held": "held masks"}
+LANGUAGES = {"language-none": "no dropout", "language-fresh": "fresh masks", "language-held": "held masks"}
 
 
 @dataclass(frozen=True)
@@ -88,31 +88,20 @@ class Run:
         """The same, mean over sizes of data: what DE13 is judged by."""
         return self.by_size.mean(1)
 
-
-@dataclass(frozen=True)
-class Reading:
-    """Language models that read a text several times: surprise of a character [nats] after each pass."""
-
-    name: str
-    seeds: tuple[int, ...]
-    train: Float[np.ndarray, "R passes"]
-    test: Float[np.ndarray, "R passes"]
-    records: tuple[Record, ...] = ()
-
     @property
     def end(self) -> Float[np.ndarray, " R"]:
-        """Surprise in test after the last pass."""
-        return self.test[:, -1].astype(float)
+        """Surprise of a character [nats] of a language model in test, after its last reading of the text."""
+        return self.arrays["test"][:, -1].astype(float)
 
     @property
     def lost(self) -> Float[np.ndarray, " R"]:
-        """By how much that is above the least in test after any pass."""
-        return self.end - self.test.min(1)
+        """By how much that is above the least in test after any reading."""
+        return self.end - self.arrays["test"].min(1)
 
     @property
     def gap(self) -> Float[np.ndarray, " R"]:
-        """By how much that is above the surprise in training, after the last pass."""
-        return self.end - self.train[:, -1]
+        """By how much that is above the surprise in training, after the last reading."""
+        return self.end - self.arrays["train"][:, -1]
 
 
 def load(name: str, folder: Path | None = None) -> Run | None:
@@ -123,11 +112,6 @@ def load(name: str, folder: Path | None = None) -> Run | None:
         return None
     seeds, arrays = records.joined(found)
     return Run(name, seeds, found[0].header["config"], arrays, tuple(found))
-
-
-def reading(masks: str, run: Run | None) -> Reading | None:
-    """Return a run of ``hidden/language-<masks>`` as what it is."""
-    return Reading(masks, run.seeds, run.arrays["train"], run.arrays["test"], run.records) if run else None
 
 
 def learners(find: Callable[[str], Learning | None]) -> dict[str, Learning]:
@@ -145,15 +129,14 @@ def results(folder: Path | None = None) -> list[Result]:
     for name in MODELS:
         if run := load(name, folder):
             found += _of_prediction(run)
-    for masks in LANGUAGES:
-        if read := reading(masks, load(f"language-{masks}", folder)):
+    for name in LANGUAGES:
+        if read := load(name, folder):
             rows = (
                 ("test", t_interval(read.end), "nats", "surprise of a character of other text after the last pass"),
                 ("lost", t_interval(read.lost), "nats", "that, less the least after any pass"),
                 ("gap", t_interval(read.gap), "nats", "that, less the surprise of the text that was trained on"),
             )
-            name = f"{FAMILY}/language-{masks}"
-            found += listed(name, rows, read.records, name)
+            found += listed(f"{FAMILY}/{name}", rows, read.records, f"{FAMILY}/{name}")
     there = learners(partial(analysis.load, folder=folder))
     for name, learning in there.items():
         if name != "seen":

@@ -13,11 +13,9 @@ from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import (
     LANGUAGES,
     MODELS,
     SEEN,
-    Reading,
     Run,
     learners,
     load,
-    reading,
 )
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
@@ -45,27 +43,25 @@ class Runs:
     """What the chapter shows, as far as it has been run."""
 
     models: Sequence[Run]
-    languages: Sequence[Reading]
+    languages: Sequence[Run]
     learners: Mapping[str, Learning]
 
     @classmethod
     def of(cls, find: Callable[[str], Run | None], learned: Callable[[str], Learning | None]) -> "Runs":
         """Return what is found by the names of configs."""
-        read = (reading(masks, find(f"language-{masks}")) for masks in LANGUAGES)
-        languages = [language for language in read if language]
-        return cls([run for name in MODELS if (run := find(name))], languages, learners(learned))
+        models, languages = ([run for name in names if (run := find(name))] for names in (MODELS, LANGUAGES))
+        return cls(models, languages, learners(learned))
 
     @property
     def records(self) -> list[Record]:
         """The records of all this."""
-        of = [run.records for run in self.models] + [run.records for run in self.languages]
-        return [r for records in (*of, *(x.records for x in self.learners.values())) for r in records]
+        every: list[Run | Learning] = [*self.models, *self.languages, *self.learners.values()]
+        return [record for run in every for record in run.records]
 
     @property
     def missing(self) -> Words:
         """Return in a line what has not been run; nothing where all has."""
-        have = {f"{FAMILY}/{run.name}" for run in self.models}
-        have |= {f"{FAMILY}/language-{run.name}" for run in self.languages}
+        have = {f"{FAMILY}/{run.name}" for run in (*self.models, *self.languages)}
         have |= {learning.config for learning in self.learners.values()}
         names = ", ".join(f"`{name}`" for name in CONFIGS if name not in have)
         return Words(f"*Not run yet: {names}.*" if names else "")

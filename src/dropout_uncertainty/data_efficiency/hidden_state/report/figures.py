@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import LANGUAGES, MODELS, SEEN, Reading, Run
+from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import LANGUAGES, MODELS, SEEN, Run
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
 from dropout_uncertainty.page.plotting import COLOURS, FEW, WIDTH, band, legend_above
@@ -25,17 +25,21 @@ STYLES = {
     "lstm-no-dropout": (COLOURS["least-confidence"], "v"),
     "seen": (DARK, "x"),
 }
-MASKS = {"none": COLOURS["least-confidence"], "fresh": COLOURS["bald"], "held": COLOURS["deep-pilco"]}
+MASKS = {
+    "language-none": COLOURS["least-confidence"],
+    "language-fresh": COLOURS["bald"],
+    "language-held": COLOURS["deep-pilco"],
+}
 
 
-def readings(found: Sequence[Reading]) -> Figure | None:
+def readings(found: Sequence[Run]) -> Figure | None:
     """Draw what language models make of their own text and of other text, against how often they have read theirs."""
     if not found:
         return None
     figure, axes = plt.subplots(1, 2, figsize=(WIDTH, 3.2), sharey=True)
     for ax, part, title in zip(axes, ("train", "test"), ("text that it was trained on", "other text"), strict=True):
         for run in found:
-            curves = getattr(run, part)
+            curves = run.arrays[part]
             x = np.arange(1, curves.shape[1] + 1)
             band(ax, x, curves, colour=MASKS[run.name], label=LANGUAGES[run.name])
         ax.set(xlabel="times that the text was read", title=title)

@@ -3,7 +3,7 @@
 from functools import partial
 from pathlib import Path
 
-from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import CONTROL, load, reading
+from dropout_uncertainty.data_efficiency.hidden_state.report.analysis import CONTROL, load
 from dropout_uncertainty.data_efficiency.report.statements import DEEP_TEXT, MARGIN_COST, MARGIN_LOG, dearer
 from dropout_uncertainty.data_efficiency.report.statements import stated as of_section
 from dropout_uncertainty.judging.statements import Measured, Statement, needed, on_average
@@ -28,7 +28,7 @@ def predicts_better(first: str, second: str, folder: Path | None) -> Measured:
 
 def less_surprised(first: str, second: str, folder: Path | None) -> Measured:
     """Return the surprise in test at the end with some masks less that with others, paired by seed."""
-    one, two = (needed(reading(masks, load(f"language-{masks}", folder))) for masks in (first, second))
+    one, two = (needed(load(f"language-{masks}", folder)) for masks in (first, second))
     return on_average(apart(lambda run: run.end, one, two), [*one.records, *two.records])
 
 

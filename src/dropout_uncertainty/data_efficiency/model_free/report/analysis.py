@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT
-from dropout_uncertainty.data_efficiency.model_free.config import ENDS, SEARCH, ModelFreeConfig
+from dropout_uncertainty.data_efficiency.model_free.config import ENDS, SEARCH
 from dropout_uncertainty.data_efficiency.model_free.learner import CONFIGS
 from dropout_uncertainty.data_efficiency.report import analysis
 from dropout_uncertainty.data_efficiency.report.analysis import Learning
@@ -21,7 +21,7 @@ from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.settings import config_dict, config_diff
 from dropout_uncertainty.stats import Interval, apart, in_words, t_interval
 
-__all__ = ["End", "chosen", "end_cost", "ends", "results", "search_table", "searched"]
+__all__ = ["End", "end_cost", "ends", "results", "search_table", "searched"]
 
 #: Trials at the end of a run of the search over whose tests its cost is taken.
 LAST = 100
@@ -37,12 +37,6 @@ def searched(folder: Path | None = None) -> dict[str, Learning]:
     """Return the runs of the search that there are, by name."""
     runs = {name: records.find(EXPERIMENT, config, name=name, folder=folder) for name, config in SEARCH.items()}
     return {name: analysis.from_records(name, found) for name, found in runs.items() if found}
-
-
-def chosen(method: str, folder: Path | None = None) -> ModelFreeConfig:
-    """Return the best setting of the search for "ddpg" or "naf", with as many trials as a published run has."""
-    costs = {name: end_cost(x).mean() for name, x in searched(folder).items() if SEARCH[name].method == method}
-    return replace(SEARCH[min(costs, key=costs.__getitem__)], trials=ModelFreeConfig().trials)
 
 
 def search_table(folder: Path | None = None) -> tuple[list[str], list[list[object]]]:

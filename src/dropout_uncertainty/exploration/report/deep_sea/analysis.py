@@ -33,9 +33,9 @@ def coin(size: int, episodes: int = HORIZON) -> float:
     return float(1 - (1 - 0.5**size) ** episodes)
 
 
-def difference(first: Dives, second: Dives, episodes: int = HORIZON) -> Estimate:
+def difference(first: Dives, second: Dives) -> Estimate:
     """Return the share solved by the first agent minus that by the second (statements EX9, EX9b)."""
-    return difference_of_shares(first.within(episodes), second.within(episodes))
+    return difference_of_shares(first.within(), second.within())
 
 
 def score(dives: Seas, agent: str) -> Interval:
