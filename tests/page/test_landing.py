@@ -15,8 +15,9 @@ from dropout_uncertainty.data_efficiency.plant.cost import SOLVED_BELOW
 from dropout_uncertainty.data_efficiency.report import analysis as data_efficiency
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.report import analysis as exploration
+from dropout_uncertainty.exploration.report.deep_sea import dives
 from dropout_uncertainty.judging.collect import STATEMENTS, collect
-from dropout_uncertainty.judging.statements import StatementResult
+from dropout_uncertainty.judging.statements import StatementResult, judge
 from dropout_uncertainty.page import landing, pictures
 
 ROOT = Path(__file__).parents[2]
@@ -142,6 +143,7 @@ def interval(text):
 def test_held_draws_of_dropout_solve_fewer_seas_and_an_ensemble_with_priors_more(facts):
     held, epsilon, priors = (number(facts[f"sea_{name}"]) for name in ("held", "epsilon", "priors"))
     assert held < epsilon / 2 < epsilon < priors
+    assert all(dives.load()[name, 10].within().all() for name in ("ensemble", "ensemble-priors"))
 
 
 def test_the_first_page_uses_every_fact_and_no_other(facts):
@@ -255,7 +257,7 @@ def test_a_learner_without_dropout_pays_more_and_its_trials_settle_nothing(facts
     assert interval(facts["no_dropout_cost"])[0] > 0
     assert interval(facts["on_mean_cost"])[0] > 0.05
     low, high = interval(facts["ensemble_cost"])
-    assert low < 0 < 0.05 < high
+    assert low < 0 < high < 0.05
     assert interval(facts["alone_cost"])[0] > 0.05
 
 
@@ -264,5 +266,8 @@ def test_a_sure_pilco_pays_more_and_its_first_trial_costs_far_more_than_it_said(
     assert interval(facts["sure_pilco_said"])[1] < interval(facts["sure_pilco_was"])[0] - 0.1
 
 
-def test_steps_that_are_hard_to_predict_gain_weight(facts):
+def test_steps_that_are_hard_to_predict_gain_weight_and_have_less_among_like_times(facts):
     assert interval(facts["doubt"])[0] > 0
+    (found,) = judge([STATEMENTS["DE11a"]])
+    against, itself = found.measured.beside.values()
+    assert against.low > 0 > itself.high
