@@ -336,7 +336,28 @@ def test_an_address_in_memory_makes_no_other_simulation(data, tmp_path):
             return {"held": object()}
 
     for _ in range(2):
-        simulate(SklearnLearner(Holding()), *data, rounds=1, checkpoint=tmp_path / "c", progress=False)
+        with pytest.warns(UserWarning, match="is described by <object object at 0x"):
+            simulate(SklearnLearner(Holding()), *data, rounds=1, checkpoint=tmp_path / "c", progress=False)
+
+
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_a_checkpoint_knows_every_number_of_an_array_and_what_was_fitted(data, tmp_path):
+    class Weighted(Nearest):
+        def get_params(self):
+            return {"weights": self.weights}
+
+    def run(weights, fitted=False):
+        classifier = Weighted()
+        classifier.weights = weights
+        if fitted:
+            classifier.fit(data[0].reshape(60, -1), np.arange(60) % 3)
+        simulate(SklearnLearner(classifier), *data, rounds=1, checkpoint=tmp_path / "c", progress=False)
+
+    run(np.ones(2_000))
+    run(np.ones(2_000))
+    for weights, fitted in ((np.ones(2_000) + 1e-9 * (np.arange(2_000) == 1_000), False), (np.ones(2_000), True)):
+        with pytest.raises(ValueError, match="of another simulation"):
+            run(weights, fitted)
 
 
 def test_every_fit_begins_from_the_module_as_it_was_made(data):

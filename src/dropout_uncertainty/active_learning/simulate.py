@@ -3,6 +3,7 @@
 import hashlib
 import re
 import tempfile
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -224,6 +225,12 @@ def _identity(learner: Learner, features: Tensor, *settings: Any) -> str:
     """Return a checksum of everything that a simulation depends on but its number of rounds."""
     told = learner.fingerprint() if isinstance(learner, Holder) else repr(learner)
     kind = f"{type(learner).__module__}.{type(learner).__qualname__}"
+    if vague := re.search("<[^<>]* object at 0x|<lambda> at 0x", told):
+        warnings.warn(
+            f"the learner is described by {vague[0]}..., as another one would be: the checkpoint goes on with either; "
+            "give it a repr, or a function a name",
+            stacklevel=3,
+        )
     told = re.sub("0x[0-9a-fA-F]+", "", told)  # addresses in memory
     digest = hashlib.sha256(repr((kind, told, list(features.shape), features.dtype, *settings)).encode())
     digest.update(features.contiguous().flatten().view(torch.uint8).numpy().tobytes())
