@@ -88,6 +88,12 @@ class Holder(Learner):
         return repr(self)
 
 
+def _alike(one: Tensor, two: Tensor) -> bool:
+    """Return whether logits are the same but for rounding."""
+    slack = torch.finfo(one.dtype).eps ** 0.5
+    return torch.allclose(one, two, rtol=slack, atol=slack * float(two.abs().max()))
+
+
 def _drops(layer: nn.Module) -> bool:
     """Return whether a layer of PyTorch drops units by itself when it is in training mode."""
     if isinstance(layer, nn.MultiheadAttention | nn.RNNBase):
@@ -247,8 +253,7 @@ class DropoutLearner(Holder):
             two, three = (self._logits(torch.arange(count)) for count in (2, min(3, len(self.images))))
         if not three.isfinite().all():
             raise ValueError("the predictions are NaN or infinite: has the training diverged, or are images so?")
-        slack = torch.finfo(two.dtype).eps ** 0.5
-        if not torch.allclose(two, three[:2], rtol=slack, atol=slack * float(three.abs().max())):
+        if not _alike(two, three[:2]):
             warnings.warn(
                 "the network predicts an image differently in other company: layers for sequences want "
                 "batch_first=True, batch normalisation track_running_stats=True",
@@ -261,12 +266,12 @@ class DropoutLearner(Holder):
         points, trained = torch.arange(min(8, len(self.images))), self.network
         try:
             with self._random("draws", self.size):
-                steady = torch.equal(self._logits(points), self._logits(points))
+                steady = _alike(self._logits(points), self._logits(points))
                 self.network = copy.deepcopy(trained).train()  # a copy, since modules may note what they have seen
                 for layer in self.network.modules():
                     if _drops(layer) or isinstance(layer, nn.modules.batchnorm._NormBase):
                         layer.training = False
-                alone = torch.equal(self._logits(points), self._logits(points))
+                alone = _alike(self._logits(points), self._logits(points))
         finally:
             self.network = trained
         if not steady:
