@@ -16,8 +16,8 @@ from dropout_uncertainty.active_learning import DropoutLearner, loop, pools
 images, names = (raw := np.load(sys.argv[1]).astype(np.float32)) / (raw.max() or 1), sys.argv[2].split(",")
 layers = [(nn.Flatten,), (nn.Linear, images[0].size, 100), (nn.ReLU,), (nn.Dropout,), (nn.Linear, 100, len(names))]
 learner = DropoutLearner(lambda: nn.Sequential(*(kind(*sizes) for kind, *sizes in layers)))
-lines = file.read_text().split() if (file := Path("labels.csv")).exists() else []  # of an earlier run
-given = {int(point): name for point, name in (line.split(",") for line in lines)}
+lines = file.read_text().splitlines() if (file := Path("labels.csv")).exists() else []  # of an earlier run
+given = {int(point): name for point, name in (line.split(",", 1) for line in lines)}
 if wrong := {point: name for point, name in given.items() if point >= len(images) or name not in names}:
     sys.exit(f"labels.csv has {wrong}: expected points below {len(images)} and the classes {sys.argv[2]}")
 asked = list(given) or list(range(min(5, len(images))))

@@ -32,15 +32,15 @@ def test_images_are_asked_for_and_their_labels_kept(tmp_path, shape):
     classes = (np.arange(40) % 2).reshape(-1, *(1 for _ in shape))
     images = 155 * classes + 100 * np.random.default_rng(100).random((40, *shape))
     np.save(tmp_path / "images.npy", images.astype(np.uint8))
-    answers = "drak\n" + "dark\nlight\n" * 5  # what is no class is asked again
-    run("label_your_images", "images.npy", "dark,light", "2", folder=tmp_path, answers=answers)
+    answers = "drak\n" + "dark one\nlight\n" * 5  # what is no class is asked again
+    run("label_your_images", "images.npy", "dark one,light", "2", folder=tmp_path, answers=answers)
     labels = np.loadtxt(tmp_path / "labels.csv", str, delimiter=",")
     assert labels.shape == (10, 2)
     assert labels[:5, 0].tolist() == ["0", "1", "2", "3", "4"]
     assert len(set(labels[:, 0])) == 10
-    assert labels[:, 1].tolist() == ["dark", "light"] * 5
+    assert labels[:, 1].tolist() == ["dark one", "light"] * 5
     # the names in another order, until nothing is left
-    run("label_your_images", "images.npy", "light,dark", "9", folder=tmp_path, answers="light\n" * 30)
+    run("label_your_images", "images.npy", "light,dark one", "9", folder=tmp_path, answers="light\n" * 30)
     more = np.loadtxt(tmp_path / "labels.csv", str, delimiter=",")
     np.testing.assert_array_equal(more[:10], labels)
     assert more[10:, 1].tolist() == ["light"] * 30

@@ -3,6 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy import stats as scipy_stats
 
 from dropout_uncertainty import stats
@@ -40,6 +41,17 @@ def test_what_is_not_known_is_no_finding():
 def test_what_was_not_measured_before_a_crossing_stays_unknown():
     curves = np.array([[9, np.nan, 9, 4, 3, 2.0]] * 5)
     assert [np.isnan(stats.crossing_interval(curves, 5.0, width=width).value) for width in (1, 3)] == [True, True]
+
+
+@pytest.mark.parametrize("width", [1, 3, 4, 5])
+def test_median_filter_is_scipys_and_puts_nan_last(width):
+    curves = np.random.default_rng(0).normal(size=(5, 30))
+    expected = ndimage.median_filter(curves, size=(1, width), mode="nearest")
+    np.testing.assert_array_equal(stats.median_filter(curves, width), expected)
+    unknown = np.random.default_rng(1).random(curves.shape) < 0.2
+    expected = ndimage.median_filter(np.where(unknown, 9.0, curves), size=(1, width), mode="nearest")
+    found = stats.median_filter(np.where(unknown, np.nan, curves), width)
+    np.testing.assert_array_equal(np.where(np.isnan(found), 9.0, found), np.where(unknown, 9.0, expected))
 
 
 def test_median_filter_removes_a_single_dip():

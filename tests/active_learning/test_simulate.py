@@ -341,23 +341,20 @@ def test_an_address_in_memory_makes_no_other_simulation(data, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:all scores are equal")
-def test_a_checkpoint_knows_every_number_of_an_array_and_what_was_fitted(data, tmp_path):
+def test_a_checkpoint_knows_every_number_of_an_array(data, tmp_path):
     class Weighted(Nearest):
         def get_params(self):
             return {"weights": self.weights}
 
-    def run(weights, fitted=False):
+    def run(weights):
         classifier = Weighted()
         classifier.weights = weights
-        if fitted:
-            classifier.fit(data[0].reshape(60, -1), np.arange(60) % 3)
         simulate(SklearnLearner(classifier), *data, rounds=1, checkpoint=tmp_path / "c", progress=False)
 
     run(np.ones(2_000))
     run(np.ones(2_000))
-    for weights, fitted in ((np.ones(2_000) + 1e-9 * (np.arange(2_000) == 1_000), False), (np.ones(2_000), True)):
-        with pytest.raises(ValueError, match="of another simulation"):
-            run(weights, fitted)
+    with pytest.raises(ValueError, match="of another simulation"):
+        run(np.ones(2_000) + 1e-9 * (np.arange(2_000) == 1_000))
 
 
 def test_every_fit_begins_from_the_module_as_it_was_made(data):
@@ -505,7 +502,7 @@ class Dropped(nn.Module):
 @pytest.mark.parametrize(
     ("layers", "message"),
     [
-        (lambda: [Dropped(), nn.Dropout()], "weight draws leave it out"),
+        (lambda: [Dropped(), nn.Dropout()], "takes no part in weight draws"),
         (lambda: [Dropped(always=True), nn.Dropout()], "random in evaluation mode too"),
         (lambda: [nn.Unflatten(1, (1, 12)), LastOutput(12, 12, dropout=0.5, batch_first=True)], "draws are the same"),
     ],
@@ -555,3 +552,76 @@ def test_the_global_random_state_is_a_function_of_the_seed_and_not_moved(data):
 def test_an_ensemble_of_ensembles_is_refused():
     with pytest.raises(ValueError, match="expected an SklearnLearner or a DropoutLearner"):
         EnsembleLearner(EnsembleLearner(noisy()))
+
+
+class Placed(nn.Module):
+    """Images beside a learned table of their pixels' places."""
+
+    def __init__(self):
+        super().__init__()
+        self.seen, self.places = nn.Conv2d(3, 4, 2), nn.Embedding(4, 4)
+        self.rest = nn.Sequential(nn.Dropout(), nn.Linear(4, 3))
+
+    def forward(self, x):
+        return self.rest(self.seen(x).flatten(1) + self.places(torch.arange(4)).mean(0))
+
+
+class Penalised(nn.Module):
+    """Keeps a tensor of its last pass in training, as losses beside the main one do, and moves a buffer."""
+
+    def __init__(self):
+        super().__init__()
+        normal = nn.utils.parametrizations.spectral_norm(nn.Linear(12, 8))
+        self.layers = nn.Sequential(nn.Flatten(), normal, nn.Dropout(), nn.Linear(8, 3))
+
+    def forward(self, x):
+        found = self.layers(x)
+        if self.training:
+            self.penalty = found.square().mean()
+        return found
+
+
+@pytest.mark.parametrize("make", [Placed, Penalised])
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_modules_that_are_all_right_are_taken_without_a_word(data, make, recwarn):
+    images = (60 * (data[0] - data[0].min())).astype(np.uint8)
+    found = simulate(DropoutLearner(make, epochs=60, learning_rate=0.02), images, data[1], rounds=2, progress=False)
+    assert found.error[-1] < 50
+    assert not [str(warning.message) for warning in recwarn if "random" in str(warning.message)]
+
+
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_a_fit_by_the_caller_is_no_other_simulation_unless_training_goes_on_from_it(data, tmp_path):
+    class Fitted(Nearest):
+        warm_start = False
+
+        def get_params(self):
+            return super().get_params() | {"warm_start": self.warm_start}
+
+    def run(classifier):
+        simulate(SklearnLearner(classifier), *data, rounds=1, checkpoint=tmp_path / "c", progress=False)
+
+    classifier = Fitted()
+    run(classifier)
+    classifier.fit(data[0].reshape(60, -1), np.arange(60) % 3)
+    run(classifier)
+    Fitted.warm_start = True
+    (tmp_path / "c").unlink()
+    run(Fitted())
+    with pytest.raises(ValueError, match="of another simulation"):
+        run(classifier)
+
+
+def test_generators_that_look_alike_are_named(data, tmp_path):
+    classifier = Nearest()
+    classifier.noise = np.random.RandomState(1)
+    with pytest.warns(UserWarning, match=r"is described by RandomState\(MT19937\)"), pytest.raises(TypeError):
+        simulate(SklearnLearner(classifier), *data, rounds=1, checkpoint=tmp_path / "c", progress=False)
+
+
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_words_given_as_floats_are_words(data):
+    words = np.arange(60)[:, None] % 3 + np.zeros((60, 4))
+    layers = [lambda: nn.Embedding(3, 4), nn.Flatten, nn.Dropout, lambda: nn.Linear(16, 3)]
+    learner = DropoutLearner(lambda: nn.Sequential(*(layer() for layer in layers)), learning_rate=0.05)
+    assert simulate(learner, words, data[1], rounds=1, progress=False).error[-1] == 0

@@ -54,6 +54,7 @@ class Holder(Learner):
     labels: Int[Tensor, " N"]
     classes: int
     seed: int
+    whole: bool  #: Whether all features are whole numbers, of whatever type.
 
     def hold(self, images: ArrayLike, labels: ArrayLike, classes: int, seed: int) -> None:
         """Take the data set: N images or rows of features, labels from 0 to ``classes`` - 1, others where unknown.
@@ -69,6 +70,7 @@ class Holder(Learner):
                 f"{list(given.shape)}"
             )
         self.labels = given.long()
+        self.whole = not self.images.is_floating_point() or bool((self.images == self.images.floor()).all())
 
     def _labels(self, points: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
         """Return the labels of points to learn from; raises ValueError if one is none of the classes."""
@@ -123,8 +125,10 @@ class SklearnLearner(Holder):
         return f"SklearnLearner({type(self.classifier).__qualname__}, {self._settings()})"
 
     def fingerprint(self) -> str:
-        """Return the settings and what has been fitted already, arrays in full."""
-        fitted = {name: value for name, value in getattr(self.classifier, "__dict__", {}).items() if name[-1] == "_"}
+        """Return the settings and, where training goes on from it, what has been fitted already; arrays in full."""
+        goes_on = self._settings().get("warm_start", not hasattr(self.classifier, "get_params"))
+        held = getattr(self.classifier, "__dict__", {}) if goes_on else {}
+        fitted = {name: value for name, value in held.items() if name.endswith("_")}
         with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
             return f"{self!r}, {fitted}"
 
@@ -170,10 +174,10 @@ class DropoutLearner(Holder):
     """A torch module with dropout, trained by Adam on the cross-entropy; a weight draw keeps the dropout active.
 
     ``make()`` returns the module, of which each fit trains a copy. It takes [B, ...] images as they are in the data
-    set, whole numbers as such where it has an embedding and else in its own precision, and returns logits [B, C].
-    When it draws, only what drops units is as in training:
-    ``nn.Dropout`` and the dropout within PyTorch's attention and recurrent layers; batch normalisation never is. Each
-    image has masks of its own, so "batch-bald" is refused.
+    set, whole numbers as such where it begins with an embedding and else in its own precision, and returns logits
+    [B, C]. When it draws, only what drops units is as in training: ``nn.Dropout`` and the dropout within PyTorch's
+    attention and recurrent layers; batch normalisation never is. Each image has masks of its own, so "batch-bald" is
+    refused.
 
     Raises:
         ValueError: if a setting is below 1, or (in ``fit``) if the module has no dropout layer or the wrong output.
@@ -264,14 +268,10 @@ class DropoutLearner(Holder):
     def _check_draws(self) -> None:
         """Warn if something random is no weight draw, or if weight draws do not differ."""
         points, trained = torch.arange(min(8, len(self.images))), self.network
+        with self._random("draws", self.size):
+            steady = _alike(self._logits(points), self._logits(points))
         try:
-            with self._random("draws", self.size):
-                steady = _alike(self._logits(points), self._logits(points))
-                self.network = copy.deepcopy(trained).train()  # a copy, since modules may note what they have seen
-                for layer in self.network.modules():
-                    if _drops(layer) or isinstance(layer, nn.modules.batchnorm._NormBase):
-                        layer.training = False
-                alone = _alike(self._logits(points), self._logits(points))
+            alone = _alike(*(self._in_training(points, trained, number) for number in range(2)))
         finally:
             self.network = trained
         if not steady:
@@ -280,14 +280,25 @@ class DropoutLearner(Holder):
             )
         elif not alone:
             warnings.warn(
-                "something in the module is random in training that is no dropout layer (F.dropout, stochastic depth): "
-                "weight draws leave it out; nn.Dropout takes part in them",
+                "something besides its dropout layers is random in training (F.dropout, noise, stochastic depth) and "
+                "takes no part in weight draws: should it? Then make it an nn.Dropout",
                 stacklevel=3,
             )
         one, two = self.log_probs(points[None], 2)[0]
         self.calls = 0
         if torch.equal(one, two):
             warnings.warn("two weight draws are the same: does the module use its dropout layers?", stacklevel=3)
+
+    def _in_training(self, points: Int[Tensor, " B"], trained: nn.Module, number: int) -> Float[Tensor, "B C"]:
+        """Return logits of a copy in training mode, with its dropout off: modules may note what they have seen."""
+        with self._random("copy", self.size):
+            self.network = copy.deepcopy(self.make()).to(self.device).train()
+        self.network.load_state_dict(trained.state_dict())
+        for layer in self.network.modules():
+            if _drops(layer) or isinstance(layer, nn.modules.batchnorm._NormBase):
+                layer.training = False
+        with self._random("draws", self.size, number):
+            return self._logits(points)
 
     @torch.inference_mode()
     def log_probs(self, candidates: Int[Tensor, "1 M"], draws: int) -> Float[Tensor, "1 S M C"]:
@@ -301,10 +312,11 @@ class DropoutLearner(Holder):
         return torch.stack(outputs)[None].cpu()
 
     def _logits(self, points: Int[Tensor, " B"]) -> Float[Tensor, "B C"]:
-        images = self.images[points]
-        weight = next(weight for weight in self.network.parameters() if weight.is_floating_point())
-        looked_up = not images.is_floating_point() and any(isinstance(x, nn.Embedding) for x in self.network.modules())
-        logits = self.network(images.to(weight.device, torch.long if looked_up else weight.dtype))
+        leaves = (layer for layer in self.network.modules() if not any(layer.children()))
+        first = next((layer for layer in leaves if any(True for _ in layer.parameters())), self.network)
+        weight = next(first.parameters())
+        looked_up = self.whole and isinstance(first, nn.Embedding)
+        logits = self.network(self.images[points].to(weight.device, torch.long if looked_up else weight.dtype))
         if logits.shape != (len(points), self.classes):
             raise ValueError(
                 f"expected logits [{len(points)}, {self.classes}], images × classes, got {list(logits.shape)}"

@@ -102,6 +102,8 @@ def simulate(
     settings = (acquisition, count, draws, subset, seed, targets.tolist(), tested.tolist(), pool.labelled.tolist())
     saved = _Checkpoint(checkpoint, _identity(learner, features, *settings) if checkpoint else "")
     sizes, errors = saved.restore(pool)
+    if saved.path and len(errors) <= rounds:
+        saved.check()
     with tqdm(total=rounds + 1, initial=len(errors), desc=acquisition, unit="round", disable=not progress) as bar:
         while len(errors) <= rounds:
             learner.fit(pool.labelled[None])
@@ -193,12 +195,14 @@ class _Checkpoint:
         self.path, self.identity = None if path is None else Path(path), identity
         if self.path and (self.path.is_dir() or not self.path.parent.is_dir()):
             raise ValueError(f"the checkpoint {self.path} should be a file in a folder that is there: name another one")
-        if self.path:
-            try:  # before hours of work
-                with tempfile.TemporaryFile(dir=self.path.parent):
-                    pass
-            except OSError as error:
-                raise ValueError(f"the checkpoint {self.path} cannot be written: {error.strerror or error}") from None
+
+    def check(self) -> None:
+        """Raise ValueError if nothing can be written, before hours of work."""
+        try:
+            with tempfile.TemporaryFile(dir=self.path and self.path.parent):
+                pass
+        except OSError as error:
+            raise ValueError(f"the checkpoint {self.path} cannot be written: {error.strerror or error}") from None
 
     def write(self, pool: Pool, sizes: list[int], errors: list[float]) -> None:
         if not self.path:
@@ -225,7 +229,9 @@ def _identity(learner: Learner, features: Tensor, *settings: Any) -> str:
     """Return a checksum of everything that a simulation depends on but its number of rounds."""
     told = learner.fingerprint() if isinstance(learner, Holder) else repr(learner)
     kind = f"{type(learner).__module__}.{type(learner).__qualname__}"
-    if vague := re.search("<[^<>]* object at 0x|<lambda> at 0x", told):
+    if vague := re.search(
+        r"<(?!built-in)[^<>]* object at 0x|<lambda> at 0x|(RandomState|Generator)\(\w+\) at 0x", told
+    ):
         warnings.warn(
             f"the learner is described by {vague[0]}..., as another one would be: the checkpoint goes on with either; "
             "give it a repr, or a function a name",

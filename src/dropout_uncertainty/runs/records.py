@@ -265,7 +265,7 @@ def read(path: Path | str, folder: Path | None = None) -> Record:
         header, arrays = _parse(path)
     except FileNotFoundError:
         raise RecordError(f"there is no record {path}") from None
-    except OSError as error:
+    except (PermissionError, IsADirectoryError) as error:
         raise RecordError(f"the record {path} cannot be read ({error.strerror or error}): make it readable") from error
     except Exception as error:  # NumPy, zipfile and json do not say what damaged bytes make them raise
         reason = " ".join(f"{type(error).__name__}: {error}".split())
