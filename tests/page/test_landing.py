@@ -158,7 +158,7 @@ def test_the_first_page_uses_every_fact_and_no_other(facts):
 #: What the lines of "What to use when" were written for. Where this changes, write them again.
 ADVICE = {
     "AL3e": "no difference", "AL3f": "no difference", "AL3g": "inconclusive", "AL4a": "supported",
-    "AL4b": "contradicted", "AL5b": "untested", "AL5c": "supported", "AL5e": "supported", "AL5f": "supported",
+    "AL4b": "contradicted", "AL5b": "supported", "AL5c": "supported", "AL5e": "supported", "AL5f": "supported",
     "AL7a": "confirmed", "AL7b": "confirmed", "AL9c": "supported", "AL11": "supported", "AL11b": "supported",
     "AL11d": "contradicted",
     "AL11c": "inconclusive", "AL11i": "untested", "AL11l": "untested", "AL11m": "supported",
