@@ -37,6 +37,7 @@ LABELS: dict[str, str] = {
     "deep-pilco-as-written": "Deep PILCO, as written",
     "ddpg": "DDPG",
     "naf": "NAF",
+    "pilco-paper-15": "PILCO",
     "pilco-matlab": "PILCO, cart-pole of its own code",
     "pilco-paper-40": "PILCO, one repetition of 40 trials",
     "original": "PILCO's own code",

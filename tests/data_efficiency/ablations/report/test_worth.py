@@ -232,6 +232,7 @@ def test_published_runs_are_what_the_page_was_written_for():
     assert disagreeing.cost_difference.low < -0.05 < 0 < disagreeing.cost_difference.high < 0.05
     assert len(disagreeing.first.seeds) == 40
     assert -5 < disagreeing.trials_difference.low < disagreeing.trials_difference.high < 0
+    assert disagreeing.first.covered[:, 1:].mean() < disagreeing.second.covered[:, 1:].mean() - 0.1
     assert alone.cost_difference.low > 0.05
     assert alone.first.kept.high < alone.second.kept.low
     for learning in (alone.first, alone.second):
