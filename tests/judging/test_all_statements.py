@@ -93,8 +93,9 @@ def test_runs_that_end_early_count_where_no_more_is_asked(tmp_path):
     for name in ("random", "dropout/variation-ratios"):
         for seed in range(4, 20):  # two of them are in both families
             write_row(folder, name, ENDS[name], seed, family="early")
-    early, late = judge([STATEMENTS["AL5b"], STATEMENTS["AL5e"]], folder)
+    early, late, other = judge([STATEMENTS["AL5b"], STATEMENTS["AL5e"], STATEMENTS["AL5a"]], folder)
     assert (early.verdict, early.measured.difference.n, late.measured.difference.n) == ("supported", 20, 6)
+    assert {record.header["name"] for record in other.measured.records} == {"ours/random", "ours/dropout/bald"}
     rows = early_rows(folder)
     assert (rows["random"].error.shape, rows["random"].labels[-1]) == ((20, 41), 420)
     assert sorted(rows["random"].seeds) == list(range(20))

@@ -131,7 +131,7 @@ def _ended(row: Row, short: Row | None) -> Row:
         begun,
         error=np.concatenate([begun.error, short.error[new]]),
         seeds=(*row.seeds, *(short.seeds[place] for place in new)),
-        records=(*row.records, *short.records),
+        records=(*row.records, *(record for record in short.records if not {*record.seeds} <= {*row.seeds})),
     )
 
 

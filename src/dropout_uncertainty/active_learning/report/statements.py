@@ -125,7 +125,9 @@ def curves(first: str, second: str, acquired: tuple[int, int], folder: Path | No
     """Return the test error of one row less that of another, paired by seed."""
     rows = early_rows(folder) if family == "ours" and acquired[1] <= EARLY[1] else load_rows(family, folder)
     one, two = (needed(rows.get(name)) for name in (first, second))
-    return on_average(apart(methodcaller("mean", acquired), one, two), [*one.records, *two.records])
+    shared = {*one.seeds} & {*two.seeds}
+    used = [record for record in (*one.records, *two.records) if shared & {*record.seeds}]
+    return on_average(apart(methodcaller("mean", acquired), one, two), used)
 
 
 def compared(
