@@ -29,6 +29,7 @@ def command(*arguments, **options):
     [
         (["run", "chess", "--config", "ours", "--seeds", "0"], "unknown experiment 'chess'"),
         (["run", "active-learning", "--config", "mine", "--seeds", "0"], "unknown config 'mine'"),
+        (["run", "exploration", "--config", "quick/ours-thomson", "--seeds", "0"], "did you mean quick/ours-thompson?"),
         (["run", "active-learning", "--config", "ours", "--seeds", "4-0"], "seeds are given like"),
         (["run", "active-learning", "--config", "ours", "--seeds", "0", "--device", "tpu"], "unknown device 'tpu'"),
         (["run", "active-learning", "--config", "ours", "--seeds", "0", "--precision", "half"], "unknown precision"),

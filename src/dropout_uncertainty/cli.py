@@ -1,7 +1,6 @@
 """The command line: ``python -m dropout_uncertainty`` or ``dropout-uncertainty``."""
 
 import contextlib
-import difflib
 import importlib
 import itertools
 import json
@@ -19,7 +18,7 @@ import typer
 
 import dropout_uncertainty
 from dropout_uncertainty import folders, stopping
-from dropout_uncertainty.errors import UserError
+from dropout_uncertainty.errors import UserError, unknown
 
 if TYPE_CHECKING:  # PyTorch takes seconds to import, which `--help` need not wait for
     from dropout_uncertainty.runs.unit import Unit
@@ -261,9 +260,7 @@ def _numbers(result: Any) -> list[tuple[str, float | None]]:
 def known(name: str, choices: Any, what: str) -> str:
     """Return ``name`` if it is one of the choices; raises UserError naming them otherwise."""
     if name not in choices:
-        near = difflib.get_close_matches(name, choices, 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise UserError(f"unknown {what} {name!r}, choose one of {', '.join(choices)}{hint}")
+        raise UserError(unknown(what, name, choices))
     return name
 
 

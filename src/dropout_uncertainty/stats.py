@@ -1,4 +1,4 @@
-"""Intervals, estimates, paired differences and crossings of curves: thin over ``scipy.stats``.
+"""Intervals, estimates, paired differences and crossings of curves: thin over ``scipy.stats`` and ``scipy.ndimage``.
 
 An `Interval` describes; an `Estimate` carries what a verdict needs (``judging.rules``).
 What is not one number, or not true or false, for each repetition raises ValueError.
@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy import ndimage
 from scipy import stats as scipy_stats
 from scipy.special import gammaln
 
@@ -297,9 +298,8 @@ def median_filter(curve: np.ndarray, width: int) -> np.ndarray:
     NaN stays NaN, and counts as larger than any number for the points beside it.
     """
     curve = np.asarray(curve, float)
-    padded = np.pad(curve, [(0, 0)] * (curve.ndim - 1) + [(width // 2, (width - 1) // 2)], mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, width, -1)
-    return np.where(np.isnan(curve), np.nan, np.sort(windows, -1)[..., width // 2])
+    unknown, size = np.isnan(curve), (1,) * (curve.ndim - 1) + (width,)
+    return np.where(unknown, np.nan, ndimage.median_filter(np.where(unknown, np.inf, curve), size, mode="nearest"))
 
 
 def crossing_interval(curves: np.ndarray, threshold: float, *, width: int = 1) -> Interval:

@@ -1,5 +1,6 @@
 """A simulation on any data with any classifier: right counts, the same when resumed, and one sentence for the rest."""
 
+import errno
 import inspect
 from dataclasses import fields
 from pathlib import Path
@@ -625,3 +626,21 @@ def test_words_given_as_floats_are_words(data):
     layers = [lambda: nn.Embedding(3, 4), nn.Flatten, nn.Dropout, lambda: nn.Linear(16, 3)]
     learner = DropoutLearner(lambda: nn.Sequential(*(layer() for layer in layers)), learning_rate=0.05)
     assert simulate(learner, words, data[1], rounds=1, progress=False).error[-1] == 0
+
+
+@pytest.mark.filterwarnings("ignore:all scores are equal")
+def test_a_checkpoint_that_cannot_be_written_is_named_before_any_training_and_a_finished_one_is_read(
+    data, tmp_path, monkeypatch
+):
+    def run(rounds):
+        return simulate(SklearnLearner(Nearest()), *data, rounds=rounds, checkpoint=tmp_path / "c", progress=False)
+
+    def denied(**_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    done = run(2)
+    monkeypatch.setattr("tempfile.TemporaryFile", denied)
+    assert same(done, run(2))
+    monkeypatch.setattr(SklearnLearner, "fit", None)
+    with pytest.raises(ValueError, match="cannot be written: Permission denied"):
+        run(3)

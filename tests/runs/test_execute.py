@@ -15,6 +15,7 @@ import pytest
 import torch
 import toy
 
+from dropout_uncertainty import folders
 from dropout_uncertainty.runs import checkpoints, execute, records, unit
 from dropout_uncertainty.runs.records import RecordError
 from dropout_uncertainty.runs.unit import RunError, check_device, precision_dtype
@@ -273,3 +274,12 @@ def test_the_provenance_says_where_a_record_comes_from():
     assert {"commit", "dirty", "torch", "processor", "date"} <= origin.keys()
     if os.path.isdir(HERE.parent / ".git"):
         assert len(origin["commit"]) == 40
+
+
+def test_outside_a_clone_no_commit_is_named(monkeypatch):
+    monkeypatch.setattr(folders, "checkout", lambda: None)  # git would find the repository around
+    records._git.cache_clear()
+    try:
+        assert records.provenance()["commit"] is None
+    finally:
+        records._git.cache_clear()

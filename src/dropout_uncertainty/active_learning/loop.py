@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Generator, Tensor, nn
 
-from dropout_uncertainty.active_learning.acquisition import Selection, checked, score, select
+from dropout_uncertainty.active_learning.acquisition import Selection, score, select
 from dropout_uncertainty.active_learning.batch_acquisition import BATCH_ACQUISITIONS, check_acquisition
 from dropout_uncertainty.active_learning.inputs import numbers, whole
 from dropout_uncertainty.active_learning.pools import Pool
@@ -89,7 +89,7 @@ def acquire(
         choose = BATCH_ACQUISITIONS[acquisition]
         log_probs = torch.cat(list(predictions(learner, torch.stack(offered), draws)), 2)
         selections = [
-            choose(checked(replica), count, generator) for replica, generator in zip(log_probs, generators, strict=True)
+            choose(replica, count, generator) for replica, generator in zip(log_probs, generators, strict=True)
         ]
     else:
         selections = highest(learner, offered, acquisition, count, draws, generators)

@@ -100,9 +100,9 @@ def simulate(
     if hasattr(learner, "hold"):
         learner.hold(features, targets, len(names), seed)
     settings = (acquisition, count, draws, subset, seed, targets.tolist(), tested.tolist(), pool.labelled.tolist())
-    saved = _Checkpoint(checkpoint, _identity(learner, features, *settings) if checkpoint else "")
+    saved = _Checkpoint(checkpoint, _identity(learner, features, *settings) if checkpoint is not None else "")
     sizes, errors = saved.restore(pool)
-    if saved.path and len(errors) <= rounds:
+    if len(errors) < rounds:  # the last round writes nothing
         saved.check()
     with tqdm(total=rounds + 1, initial=len(errors), desc=acquisition, unit="round", disable=not progress) as bar:
         while len(errors) <= rounds:
@@ -198,8 +198,10 @@ class _Checkpoint:
 
     def check(self) -> None:
         """Raise ValueError if nothing can be written, before hours of work."""
+        if not self.path:
+            return
         try:
-            with tempfile.TemporaryFile(dir=self.path and self.path.parent):
+            with tempfile.TemporaryFile(dir=self.path.parent):
                 pass
         except OSError as error:
             raise ValueError(f"the checkpoint {self.path} cannot be written: {error.strerror or error}") from None

@@ -1,12 +1,12 @@
 """From named configs to units of work: one way to cut seeds, for all sections."""
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 
+from dropout_uncertainty.errors import unknown
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.process import Process
 from dropout_uncertainty.runs.unit import RunError, Unit
@@ -61,7 +61,5 @@ def units(
     """
     of = {config: sweep for sweep in sweeps for config in sweep.configs}
     if name not in of:
-        near = difflib.get_close_matches(name, of, 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise RunError(f"unknown config {name!r}, choose one of {', '.join(of)}{hint}")
+        raise RunError(unknown("config", name, of))
     return of[name].units(name, seeds, device, precision)

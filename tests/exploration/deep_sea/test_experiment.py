@@ -104,6 +104,7 @@ def test_seeds_are_cut_into_units():
         ({"episodes": 15}, "positive multiple of 10 up to 32,760, got 15"),
         ({"episodes": 40_000}, "up to 32,760, got 40000"),
         ({"drop": (0.1, 0.0, 0.0)}, "the first 0 for one-hot inputs"),
+        ({"policy": "thompson"}, "a drop probability must be above 0"),
         ({"share": 0.0}, r"a share lies in \(0, 1\], got 0.0"),
         ({"anneal_episodes": 0}, "anneal_episodes must be at least 1, got 0"),
         ({"learning_rate": 0.0}, "nothing is learned, got 0.0"),
