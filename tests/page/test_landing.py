@@ -18,7 +18,7 @@ from dropout_uncertainty.exploration.report import analysis as exploration
 from dropout_uncertainty.exploration.report.deep_sea import dives
 from dropout_uncertainty.judging.collect import STATEMENTS, collect
 from dropout_uncertainty.judging.statements import StatementResult, judge
-from dropout_uncertainty.page import landing, pictures
+from dropout_uncertainty.page import landing, pictures, scoreboard
 
 ROOT = Path(__file__).parents[2]
 GLUED = r"{glue:text}`scoreboard\.ipynb::(\w+):s`"
@@ -271,3 +271,4 @@ def test_steps_that_are_hard_to_predict_gain_weight_and_have_less_among_like_tim
     (found,) = judge([STATEMENTS["DE11a"]])
     against, itself = found.measured.beside.values()
     assert against.low > 0 > itself.high
+    assert "; share itself, at equal time steps: −0." in scoreboard.with_beside(found)

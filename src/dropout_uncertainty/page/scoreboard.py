@@ -62,6 +62,12 @@ def measured(judged: Judged) -> str | None:
     return f"{in_words(judged.measured.ours, '.3g')} {judged.statement.unit}".strip()
 
 
+def with_beside(judged: Judged) -> str | None:
+    """Return the same with what is shown beside it."""
+    beside = "".join(f"; {words}: {in_words(interval, '.3g')}" for words, interval in beside_of(judged).items())
+    return value + beside if (value := measured(judged)) is not None else None
+
+
 def said(judged: Judged) -> str:
     """Return the verdict in words: that of a primary statement adjusted, and why where that needs saying."""
     both = judged.verdict if judged.plain == judged.verdict else f"{judged.verdict} (by itself {judged.plain})"
@@ -74,10 +80,7 @@ def verdicts(judged: Iterable[Judged]) -> Table:
     for place, group in groupby(judged, lambda j: j.statement.where):
         for first, j in enumerate(group):
             star = " (primary)" if j.statement.primary else ""
-            beside = "".join(f"; {words}: {in_words(interval, '.3g')}" for words, interval in beside_of(j).items())
-            value = measured(j)
-            shown = None if value is None else value + beside
-            rows.append([None if first else place, j.statement.id, j.statement.text + star, shown, said(j)])
+            rows.append([None if first else place, j.statement.id, j.statement.text + star, with_beside(j), said(j)])
     return Table(
         [["" if cell is None and not column else cell for column, cell in enumerate(row)] for row in rows],
         ["of the thesis", "", "statement", "ours [95 % interval]", "verdict"],
