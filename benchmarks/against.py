@@ -1,10 +1,12 @@
 """CPU time of this tree beside that of an older commit, side by side in one run.
 
     python benchmarks/against.py COMMIT [--quick] [--only WORDS] [--pairs N]
+    python benchmarks/against.py --profile [--quick] [--only WORDS]
 
 The commit is checked out into a temporary worktree. For each piece of work two processes of one thread, one per tree,
 do the same in turns, so that whatever else the machine does falls on both; the table has the medians over the pairs and
 the median of the ratios with its quartiles. The peak memory is that of the process, Python and torch included.
+With --profile: where the time of this tree goes, by operator.
 """
 
 import argparse
@@ -183,6 +185,33 @@ def serve(name: str, quick: bool) -> None:
         print(json.dumps([seconds, peak]), flush=True)
 
 
+def profile(name: str, quick: bool, lines: int = 8) -> None:
+    """Print what share of a piece of work its matrix products take, what Python does, and the longest operators."""
+    np, torch = import_module("numpy"), import_module("torch")
+    torch.set_num_threads(1)
+    work, _ = WORKS[name](quick)
+    work()
+    matmul = np.matmul
+
+    def recorded(*args: Any, **options: Any) -> object:  # the 2D world multiplies by NumPy
+        with torch.profiler.record_function("numpy.matmul"):
+            return matmul(*args, **options)
+
+    np.matmul = recorded
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as found:
+        begun = time.perf_counter()
+        work()
+        wall = (time.perf_counter() - begun) * 1e6
+    np.matmul = matmul
+    operators = sorted(found.key_averages(), key=lambda e: -e.self_cpu_time_total)
+    inside = sum(e.self_cpu_time_total for e in operators)
+    products = sum(e.self_cpu_time_total for e in operators if any(word in e.key for word in ("mm", "conv", "matmul")))
+    print(f"\n{name}: {wall / 1e3:.0f} ms, {sum(e.count for e in operators)} calls")
+    print(f"  {products / wall:6.1%} matrix products\n  {1 - inside / wall:6.1%} outside of operators")
+    for e in operators[:lines]:
+        print(f"  {e.self_cpu_time_total / wall:6.1%} {e.key}, {e.count} of {e.self_cpu_time_total / e.count:.0f} us")
+
+
 @contextlib.contextmanager
 def worktree(commit: str) -> Iterator[Path]:
     """Check a commit out into a temporary folder."""
@@ -220,7 +249,8 @@ def pairs(name: str, trees: tuple[Path, Path], count: int, quick: bool) -> list[
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("commit", help="what to compare with")
+    parser.add_argument("commit", nargs="?", help="what to compare with")
+    parser.add_argument("--profile", action="store_true", help="where the time goes, without a comparison")
     parser.add_argument("--quick", action="store_true", help="a tenth of the steps of whole trials, five epochs")
     parser.add_argument("--only", default="", help="works whose name holds these words")
     parser.add_argument("--pairs", type=int, default=7)
@@ -229,6 +259,13 @@ def main() -> None:
     if options.worker:
         serve(options.worker, options.quick)
         return
+    if options.profile:
+        for name in WORKS:
+            if options.only in name:
+                profile(name, options.quick)
+        return
+    if options.commit is None:
+        parser.error("expected a commit to compare with, or --profile")
     torch, records = import_module("torch"), module("runs.records")
     print(f"{records.provenance()['processor']}, torch {torch.__version__}, one thread; CPU milliseconds", end="")
     print(f", medians of {options.pairs} pairs\n")
