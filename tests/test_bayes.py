@@ -31,8 +31,9 @@ def test_probabilities_outside_0_1_are_refused(p):
 def test_weight_decay_by_hand():
     # (1 - 0.2) * 2^2 / (2 * 10 * 4) = 0.04
     assert weight_decay(10, 0.2, 2.0, 4.0) == pytest.approx(0.04)
-    with pytest.raises(ValueError, match="positive"):
-        weight_decay(0, 0.2, 2.0, 4.0)
+    for n, length_scale in ((0, 2.0), (10, float("nan"))):
+        with pytest.raises(ValueError, match="positive"):
+            weight_decay(n, 0.2, length_scale, 4.0)
 
 
 def test_weight_decay_belongs_to_half_the_mean_squared_error():
@@ -93,5 +94,7 @@ def test_a_replica_alone_equals_itself_among_others(net):
 def test_impossible_networks_are_refused():
     with pytest.raises(ValueError, match="one drop probability per weight layer"):
         MLP((3, 4, 2), (0.1,), seeds=(100,))
+    with pytest.raises(ValueError, match="each 0 or more and once only"):
+        MLP((3, 4, 2), (0.1, 0.1), seeds=(100, 100))
     with pytest.raises(ValueError, match="unknown activation"):
         MLP((3, 4, 2), (0.1, 0.1), seeds=(100,), activation="swish")

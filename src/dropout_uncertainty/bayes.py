@@ -93,7 +93,7 @@ def weight_decay(n: int, p: float, length_scale: float, precision: float) -> flo
     Raises:
         ValueError: if ``n`` < 1, ``precision`` or ``length_scale`` is not positive, or ``p`` is outside [0, 1).
     """
-    if n < 1 or precision <= 0 or length_scale <= 0:
+    if not (n >= 1 and precision > 0 and length_scale > 0):
         raise ValueError(
             f"weight decay needs n >= 1 and a positive length-scale and precision, got {n}, {length_scale}, {precision}"
         )
@@ -116,7 +116,8 @@ class MLP(nn.Module):
     Weights start from a normal distribution of variance 2 / (in + out) (Glorot and Bengio, 2010), biases at 0.
 
     Raises:
-        ValueError: if ``drop`` has not one probability in [0, 1) per weight layer or the activation is unknown.
+        ValueError: if ``drop`` has not one probability in [0, 1) per weight layer, the activation is unknown, or a seed
+            is none or comes twice.
     """
 
     def __init__(
@@ -129,11 +130,12 @@ class MLP(nn.Module):
         dtype: torch.dtype = torch.float32,
     ) -> None:
         super().__init__()
+        drop = tuple(drop) if isinstance(drop, Sequence) else (drop,)
         if len(drop) != len(sizes) - 1:
             raise ValueError(f"expected one drop probability per weight layer ({len(sizes) - 1}), got {len(drop)}")
         if activation not in ACTIVATIONS:
             raise ValueError(f"unknown activation {activation!r}, choose one of {', '.join(ACTIVATIONS)}")
-        self.sizes, self.seeds = tuple(sizes), tuple(seeds)
+        self.sizes, self.seeds = tuple(sizes), rng.check_seeds(seeds)
         self.drop = tuple(check_probability(p) for p in drop)
         self.activation = ACTIVATIONS[activation]
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()

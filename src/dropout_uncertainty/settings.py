@@ -40,6 +40,20 @@ def of_type(kind: type, value: Any, name: str) -> Any:
     return value
 
 
+def at_least(low: int, **settings: int | float) -> None:
+    """Raise ValueError, by its name, for a setting below a number."""
+    for name, value in settings.items():
+        if value < low:
+            raise ValueError(f"{name} must be at least {low}, got {value}")
+
+
+def positive(**settings: int | float) -> None:
+    """Raise ValueError, by its name, for a setting that is not above 0."""
+    for name, value in settings.items():
+        if value <= 0:
+            raise ValueError(f"{name} must be positive, got {value}")
+
+
 def idle(config: Any, names: Iterable[str], why: str) -> None:
     """Raise ValueError if one of these settings of a dataclass, which do nothing because of ``why``, was set."""
     for field in fields(config):

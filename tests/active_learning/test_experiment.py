@@ -120,6 +120,13 @@ def test_three_classes_are_counted_as_three(process, digits):
     np.testing.assert_array_equal(resumed["points"], finish(first)["points"])
 
 
+def test_a_learner_is_given_the_pool_of_its_config_and_points_of_each_replica(digits):
+    with pytest.raises(ValueError, match="pool of this config is ambiguous, not MNIST as it is: give the data"):
+        CNNLearner(CONFIGS["pools/ambiguous/dropout/bald"], (100,))
+    with pytest.raises(ValueError, match="of 2 replicas, got 1"):
+        CNNLearner(TINY, (100, 101), data=digits).fit(torch.arange(20)[None])
+
+
 def test_a_tiny_network_learns_twenty_images(digits):
     learner = CNNLearner(replace(TINY, epochs=60, decay=0.1), (100,), data=digits)
     labelled = torch.arange(20)[None]

@@ -35,9 +35,16 @@ def toy():
     return Toy("Move the slider.", "a line & its size", PICTURE, sliders)
 
 
-@pytest.fixture
-def network():
-    return MLP((1, 100, 100, 1), drop=(0.0, 0.2, 0.2), seeds=[100]).requires_grad_(False)
+def test_a_slider_reaches_where_it_starts():
+    for start, wanted in ((0.6, (0, 0.6, 0.05)), (0.12, (0, 0.5, 0.01)), (-1, (-1, 0.5, 0.05)), (0.35, (0, 0.5, 0.05))):
+        slider = Slider("p", "drop probability", start, 0, 0.5, 0.05)
+        assert (slider.low, slider.high, slider.step) == pytest.approx(wanted)
+
+
+def test_functions_cannot_be_drawn_without_dropout():
+    network = MLP((1, 8, 1), drop=(0.0, 0.0), seeds=[100]).requires_grad_(False)
+    with pytest.raises(ValueError, match="expected a network with dropout"):
+        toys.play_functions(network, GRID, (torch.zeros(1, 2, 1), torch.zeros(1, 2, 1)), noise=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +120,16 @@ def test_keys_move_a_slider_and_draw_again(toy, shown):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "network",
+    [
+        MLP((1, 100, 100, 1), (0.0, 0.2, 0.2), seeds=[100]),
+        MLP((1, 40, 1), (0.2, 0.2), seeds=[100], activation="tanh"),
+        MLP((1, 30, 20, 10, 1), (0.0, 0.0, 0.2, 0.0), seeds=[100], activation="sigmoid"),
+    ],
+)
 def test_page_draws_the_functions_of_the_package(network, shown):
+    network.requires_grad_(False)
     toy = toys.play_functions(network, GRID, (torch.zeros(1, 2, 1), torch.zeros(1, 2, 1)), noise=0.1)
     masks = network.draw(5, "test")
     held = tuple(m if m is None else m.repeat_interleave(len(GRID), dim=1) for m in masks)
@@ -127,7 +143,7 @@ def test_page_draws_the_functions_of_the_package(network, shown):
     np.testing.assert_allclose(band["y"][: len(GRID)], curves.mean(0) + 2 * total, atol=1e-5)
     gap = curves.var(0)[GRID.abs() <= 1].mean()
     assert f"{gap**0.5:.3f} ({(gap + 0.3**2) ** 0.5:.3f}) in the gap" in picture["words"]
-    without = computed(shown(toy), {"p": 0, "draws": 2, "noise": 0}, [0.0] * 400)["panels"][0]["paths"]
+    without = computed(shown(toy), {"p": 0, "draws": 2, "noise": 0}, [0.0] * 600)["panels"][0]["paths"]
     np.testing.assert_allclose(without[1]["y"], network(GRID.reshape(1, -1, 1)).flatten(), atol=2e-6)
 
 

@@ -236,6 +236,9 @@ class CNNLearner:
 
     Attributes:
         network: the networks of the last ``fit``.
+
+    Raises:
+        ValueError: without ``data`` for a config whose pool is not MNIST as it is.
     """
 
     network: BayesianCNN
@@ -253,6 +256,11 @@ class CNNLearner:
         self.config, self.seeds, self.path = of_type(Config, config, "config"), rng.check_seeds(seeds), path
         self.device = torch.device(device)
         self.compute = precision_dtype(precision)
+        if data is None and config.pool_kind != "clean":
+            raise ValueError(
+                f"the pool of this config is {config.pool_kind}, not MNIST as it is: give the data of each seed, "
+                "task_of(config, seed, mnist.load()).data"
+            )
         data = data or mnist.load()
         self.data = [data] * len(self.seeds) if isinstance(data, mnist.Mnist) else list(data)
         on_device = {id(d): (d.train_images.to(device), d.train_labels.to(device)) for d in self.data}
@@ -264,6 +272,8 @@ class CNNLearner:
 
     def fit(self, labelled: Int[Tensor, "R n"]) -> None:
         """Train new networks on the given training points: Adam, fresh weight draws in every step."""
+        if len(labelled) != len(self.seeds):
+            raise ValueError(f"expected labelled points [R, n] of {len(self.seeds)} replicas, got {len(labelled)}")
         self.round, self.scored = self.round + 1, 0
         config = self.config
         images, labels = gather(self.images, labelled), gather(self.labels, labelled)

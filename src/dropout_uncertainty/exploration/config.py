@@ -7,7 +7,7 @@ from dropout_uncertainty.bayes import check_probability
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.exploration.foraging.world import CHUNK, Rules
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
-from dropout_uncertainty.settings import idle, tidy
+from dropout_uncertainty.settings import at_least, idle, tidy
 
 __all__ = ["BLOCK", "NO_DROPOUT", "AgentConfig", "Config", "at_least", "check_learning", "make_policy"]
 
@@ -88,13 +88,6 @@ def make_policy(name: str, config: Config) -> Policy:
 
 
 # ------------------------------------------------------------------ what is refused
-
-
-def at_least(low: int, **settings: int | float) -> None:
-    """Refuse settings, given by name, below a number."""
-    for name, value in settings.items():
-        if value < low:
-            raise ValueError(f"{name} must be at least {low}, got {value}")
 
 
 def check_precision(precision: str) -> None:

@@ -20,9 +20,13 @@ __all__ = ["FLOATS", "Slider", "Toy", "floats"]
 Number = int | float
 
 
-@dataclass(frozen=True)
+@dataclass
 class Slider:
-    """A number that the reader sets: its name in the script, the words beside it, where it starts and its limits."""
+    """A number that the reader sets: its name in the script, the words beside it, where it starts and its limits.
+
+    A start outside the limits moves them, and one that no step leads to makes the steps finer: a browser would change
+    it without a word.
+    """
 
     name: str
     label: str
@@ -30,6 +34,12 @@ class Slider:
     low: Number
     high: Number
     step: Number
+
+    def __post_init__(self) -> None:
+        self.low, self.high = min(self.low, self.start), max(self.high, self.start)
+        steps = (self.start - self.low) / self.step
+        if abs(steps - round(steps)) > 1e-6:
+            self.step = 10 ** -len(f"{self.start:g}".partition(".")[2])
 
 
 def floats(values: ArrayLike) -> str:

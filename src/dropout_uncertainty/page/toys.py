@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from jaxtyping import Float
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from torch import Tensor
 
@@ -13,7 +15,7 @@ from dropout_uncertainty.page.sliders import FLOATS, Slider, Toy, floats
 __all__ = ["STEPS", "functions", "play_functions", "spread", "walks"]
 
 #: Steps of training by profile.
-STEPS = {"recorded": 2000, "quick": 600, "full": 6000}
+STEPS = {"recorded": 2000, "quick": 2000, "full": 6000}
 DRAWS, DATA = "#0072B2", COLOURS["bald"]
 
 
@@ -36,8 +38,9 @@ def functions(
 
 def spread(ax: Axes, grid: Float[Tensor, " N"], spreads: Mapping[int, Float[Tensor, " N"]], noise: float) -> Axes:
     """Draw the standard deviation of functions for each number of data points, beside that of the noise."""
-    for (n, std), colour in zip(spreads.items(), ("#56B4E9", DRAWS), strict=False):
-        ax.plot(grid, std, color=colour, label=f"epistemic, {n} points")
+    shades = np.linspace(0.5, 0.9, len(spreads))
+    for (n, std), shade in zip(spreads.items(), shades, strict=True):
+        ax.plot(grid, std, color=colormaps["Blues"](shade), label=f"epistemic, {n} points")
     ax.axhline(noise, color=DATA, linestyle="--", label="aleatoric (the noise)")
     for start in (-2.5, 1.0):
         ax.axvspan(start, start + 1.5, color="#dddddd", alpha=0.5, linewidth=0)
@@ -55,32 +58,43 @@ def walks(axes: Sequence[Axes], path: Float[Tensor, " N"], heights: Mapping[bool
 
 
 def play_functions(net: MLP, grid: Float[Tensor, " N"], points: tuple[Tensor, Tensor], noise: float) -> Toy:
-    """Return a figure in which a reader draws functions from a trained network with two hidden layers.
+    """Return a figure in which a reader draws functions from a trained network.
 
-    Sliders set the drop probability, the number of draws and the noise of a new observation; the weights stay.
+    Sliders set the drop probability wherever the network has dropout, the number of draws and the noise of a new
+    observation; the weights stay.
+
+    Raises:
+        ValueError: for a network without dropout.
     """
-    drop = net.drop[-1]
+    trained = sorted({p for p in net.drop if p})
+    if not trained:
+        raise ValueError("expected a network with dropout, got drop probabilities of 0: all its draws are the same")
     sliders = [
-        Slider("p", "drop probability", drop, 0, 0.5, 0.05),
+        Slider("p", "drop probability", trained[-1], 0, 0.5, 0.05),
         Slider("draws", "number of draws", 20, 2, 100, 1),
         Slider("noise", "noise (standard deviation)", noise, 0, 0.5, 0.05),
     ]
     layers = [[floats(part[0].detach()) for part in layer] for layer in zip(net.weights, net.biases, strict=True)]
     x, y = (values.flatten().tolist() for values in points)
-    data = {"grid": grid.tolist(), "x": x, "y": y, "layers": layers, "colours": [DRAWS, DATA]}
+    data = {
+        "grid": grid.tolist(), "x": x, "y": y, "layers": layers, "activation": net.activation.__name__,
+        "dropped": [p > 0 for p in net.drop], "colours": [DRAWS, DATA],
+    }  # fmt: skip
     lead = (
         f"Draw functions yourself, from the network of {len(x)} points. Its weights stay as they were trained, with "
-        f"drop probability {drop:g}. You set the drop probability of the draws, their number, and the noise of a new "
-        "observation."
+        f"drop probability {' and '.join(f'{p:g}' for p in trained)}. You set the drop probability of the draws, their "
+        "number, and the noise of a new observation."
     )
     return Toy(lead, "Functions drawn from a dropout network, with the data.", FUNCTIONS, sliders, data)
 
 
 FUNCTIONS = """
-({ grid, x, y, layers, colours: [blue, orange] }) => {
+({ grid, x, y, layers, activation, dropped, colours: [blue, orange] }) => {
   const floats = FLOATS;
-  const [first, second, third] = layers.map(([weights, biases]) => [floats(weights), floats(biases)]);
-  const relu = (units) => units.map((unit) => Math.max(unit, 0));
+  const parts = layers.map(([weights, biases]) => [floats(weights), floats(biases)]);
+  const activate = {
+    relu: (unit) => Math.max(unit, 0), tanh: Math.tanh, sigmoid: (unit) => 1 / (1 + Math.exp(-unit)),
+  }[activation];
   const dense = (units, [weights, biases]) => {
     const out = Float64Array.from(biases);
     for (let i = 0; i < units.length; i++) {
@@ -89,14 +103,22 @@ FUNCTIONS = """
     }
     return out;
   };
-  const hidden = grid.map((at) => relu(dense([at], first))); // no dropout before: the same in every draw
+  const pass = (units, from, to, masks) => {
+    for (let l = from; l < to; l++) {
+      if (masks[l]) units = units.map((unit, i) => unit * masks[l][i]);
+      units = dense(units, parts[l]);
+      if (l + 1 < parts.length) units = units.map(activate);
+    }
+    return units;
+  };
+  const first = dropped.indexOf(true), count = ([weights, biases]) => weights.length / biases.length;
+  const before = grid.map((at) => pass([at], 0, first, [])); // the same in every draw
 
   return ({ p, draws, noise }, random) => {
-    const mask = ([, biases]) => Array.from(biases, () => (random() < p ? 0 : 1 / (1 - p)));
+    const mask = (part) => Array.from({ length: count(part) }, () => (random() < p ? 0 : 1 / (1 - p)));
     const functions = Array.from({ length: draws }, () => {
-      const one = mask(first), two = mask(second); // held: the same masks at every point of the grid
-      const drop = (units, masks) => units.map((unit, i) => unit * masks[i]);
-      return hidden.map((units) => dense(drop(relu(dense(drop(units, one), second)), two), third)[0]);
+      const masks = parts.map((part, l) => dropped[l] && mask(part)); // held: the same at every point of the grid
+      return before.map((units) => pass(units, first, parts.length, masks)[0]);
     });
     const mean = grid.map((_, n) => functions.reduce((sum, f) => sum + f[n], 0) / draws);
     const variance = mean.map((m, n) => functions.reduce((sum, f) => sum + (f[n] - m) ** 2, 0) / (draws - 1));

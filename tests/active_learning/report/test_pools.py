@@ -88,6 +88,18 @@ def test_curves_and_differences_of_pools_are_drawn(found):
     plt.close(fig)
 
 
+def test_a_last_row_of_images_need_not_be_full(digits):
+    everything = torch.arange(40)
+    task = Task(digits, Split(everything[:4], everything[:0], everything[4:]), everything == 13, everything, everything)
+    fig, ax = plt.subplots()
+    figures.picked(ax, task, np.arange(4, 17), "thirteen")
+    sheet = ax.images[0].get_array().reshape(2, 28, 10, 28).swapaxes(1, 2).reshape(20, 28, 28)
+    np.testing.assert_array_equal(sheet[:13], digits.train_images[4:17])
+    assert not sheet[13:].any()
+    assert [patch.get_xy() for patch in ax.patches] == [(9 * 28, 0)]
+    plt.close(fig)
+
+
 def test_what_was_bought_is_drawn_in_the_order_of_acquisition(found, digits, monkeypatch):
     order = np.random.default_rng(100).permutation(len(digits.train_labels))
     everything = torch.arange(len(order))
@@ -101,6 +113,8 @@ def test_what_was_bought_is_drawn_in_the_order_of_acquisition(found, digits, mon
     }
     fig, axes = plt.subplots(1, 2)
     names = ["softmax/max-entropy", "random", "dropout/bald"]
+    with pytest.raises(ValueError, match=r"unknown row 'dropout/bold'.*did you mean dropout/bald"):
+        figures.bought(list(axes), "ambiguous", rows, ["dropout/bold"])
     figures.bought(list(axes), "ambiguous", rows, names)
     assert fig.get_suptitle() == "ambiguous"
     for ax, name in zip(axes, names[::2], strict=True):

@@ -178,7 +178,7 @@ def test_bad_input_is_named():
         experiment.start(SHORT, ())
     with pytest.raises(ValueError, match="got bfloat16"):
         experiment.start(SHORT, (100,), precision="bfloat16")
-    with pytest.raises(ValueError, match="must be positive"):
+    with pytest.raises(ValueError, match="trials must be at least 1, got 0"):
         replace(SHORT, trials=0)
     with pytest.raises(ValueError, match="runge-kutta or euler"):
         replace(SHORT, integration="exact")
@@ -191,8 +191,8 @@ def test_bad_input_is_named():
     [
         ({"drop": 1.0}, "drop probabilities"),
         ({"guard": 2.0}, "drop probabilities"),
-        ({"model_rate": 0.0}, "positive step size"),
-        ({"length_scale": -1.0}, "positive step size"),
+        ({"model_rate": 0.0}, "^model_rate must be positive, got 0.0$"),
+        ({"length_scale": -1.0}, "length_scale must be positive"),
         ({"hidden": ()}, "expected layers"),
         ({"activation": "tanh"}, "expected layers"),
     ],

@@ -335,9 +335,10 @@ def test_particles_are_steered_as_the_real_cart(angle_features):
         ({"matching": "none"}, "matching to be one of full, diagonal, off, got 'none'"),
         ({"cost_of": "median"}, "cost_of to be one of"),
         ({"optimiser": "sgd"}, "optimiser to be one of adam, bfgs"),
-        ({"particles": 1}, "2 or more particles"),
-        ({"policy_steps": 0}, "a step or more"),
-        ({"clip": -1.0}, "no negative numbers"),
+        ({"particles": 1}, "particles must be at least 2, got 1"),
+        ({"policy_steps": 0}, "policy_steps must be at least 1"),
+        ({"clip": -1.0}, "^clip must be at least 0, got -1.0$"),
+        ({"policy_final_rate": 2.0}, "policy_final_rate must lie in"),
         ({"optimiser": "bfgs"}, "set redraw_every to 0"),
     ],
 )

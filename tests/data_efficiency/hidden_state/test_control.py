@@ -133,7 +133,7 @@ def test_all_but_the_model_is_as_in_our_setting():
 
 def test_settings_that_cannot_be_are_refused():
     model = CONFIGS["hidden/control-lstm-held"].model
-    with pytest.raises(ValueError, match="1 or more"):
+    with pytest.raises(ValueError, match="particles must be at least 1, got 0"):
         ControlConfig(model, particles=0)
     with pytest.raises(ValueError, match="positive spreads"):
         ControlConfig(model, spread=(1.0, 2.0))

@@ -68,7 +68,9 @@ def test_held_masks_last_for_a_sequence_and_drop_characters():
     assert language.start(small("none"), (100,))._draw(0) is None
 
 
-@pytest.mark.parametrize("change", [{"masks": "some"}, {"train": 50}])
-def test_settings_that_cannot_be_are_refused(change):
-    with pytest.raises(ValueError, match="expected"):
+@pytest.mark.parametrize(
+    ("change", "words"), [({"masks": "some"}, "expected masks out of"), ({"train": 50}, "train must be at least")]
+)
+def test_settings_that_cannot_be_are_refused(change, words):
+    with pytest.raises(ValueError, match=words):
         LanguageConfig(**{"masks": "held"} | SMALL | change)

@@ -83,7 +83,7 @@ def test_the_command_line_knows_the_models_and_their_twenty_seeds():
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [({"kind": "gru"}, "gru"), ({"hidden": (8, 8)}, "one layer"), ({"particles": 1}, "two particles")],
+    [({"kind": "gru"}, "gru"), ({"hidden": (8, 8)}, "one layer"), ({"particles": 1}, "particles must be at least 2")],
 )
 def test_settings_that_cannot_be_are_refused(change, words):
     with pytest.raises(ValueError, match=words):

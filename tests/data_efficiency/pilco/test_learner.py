@@ -255,7 +255,7 @@ def test_bad_input_is_named():
         configs.units("pilco")
     with pytest.raises(ValueError, match="at least one seed"):
         learner.start(SHORT, ())
-    with pytest.raises(ValueError, match="must be positive"):
+    with pytest.raises(ValueError, match="trials must be at least 1, got 0"):
         replace(SHORT, trials=0)
     with pytest.raises(ValueError, match="float64, got float32"):
         learner.start(SHORT, (100,), precision="float32")

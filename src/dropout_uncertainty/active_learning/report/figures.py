@@ -15,6 +15,7 @@ from dropout_uncertainty.active_learning.noisy_pools import Task
 from dropout_uncertainty.active_learning.report import peaks
 from dropout_uncertainty.active_learning.report.analysis import LABELS, Row, paired_curves
 from dropout_uncertainty.active_learning.report.pools import Contrast, acquired
+from dropout_uncertainty.errors import unknown
 from dropout_uncertainty.page.curve_toggles import Curves
 from dropout_uncertainty.page.plotting import COLOURS, SMALL, band, missing
 from dropout_uncertainty.stats import t_interval
@@ -23,6 +24,13 @@ __all__ = [
     "asked_for", "bought", "class_shares", "differences", "digits", "figure_5_1", "figure_5_2", "forest",
     "learning_curves", "minibatches", "picked", "pool_curves", "to_choose",
 ]  # fmt: skip
+
+
+def _check(names: Sequence[str]) -> None:
+    """Raise ValueError for a name that no row has: it would be left out without a word."""
+    for name in names:
+        if name not in LABELS:
+            raise ValueError(unknown("row", name, LABELS))
 
 
 def colour(name: str) -> str:
@@ -94,6 +102,7 @@ def minibatches(axes: Sequence[Axes], found: Mapping[str, Row]) -> None:
 
 def to_choose(rows: Mapping[str, Row], original: Mapping[str, Row] | None, shown: Sequence[str]) -> Curves:
     """Return the learning curves of the rows of the tables, each with a box to tick; those of ``shown`` are ticked."""
+    _check(shown)
     curves = Curves("Falling error curves on a logarithmic axis, one for each row; boxes choose which")
     for name in (name for name in rows if name in ROWS):
         with curves.group(rows[name].label, shown=name in shown):
@@ -123,7 +132,8 @@ def pool_curves(axes: Sequence[Axes], pools: Mapping[str, Mapping[str, Row]]) ->
 
 
 def bought(axes: Sequence[Axes], kind: str, rows: Mapping[str, Row], names: Sequence[str]) -> None:
-    """Draw the first sixty images that some rows acquired from a kind of pool, one panel each."""
+    """Draw the first sixty images that some rows acquired from a kind of pool, one panel each; rows may be missing."""
+    _check(names)
     found = [rows[name] for name in names if name in rows]
     for ax in axes:
         ax.axis("off")
@@ -152,9 +162,11 @@ def picked(ax: Axes, task: Task, points: Int[np.ndarray, " n"], title: str) -> A
     """Draw the images in the order of acquisition, ten in a row; a frame marks those that were wasted."""
     images = task.data.train_images[points].numpy()
     wasted = task.wasted(torch.from_numpy(points).long()).numpy()
-    rows = len(points) // 10
-    ax.imshow(images[: 10 * rows].reshape(rows, 10, 28, 28).swapaxes(1, 2).reshape(28 * rows, 280), cmap="gray_r")
-    for row, column in np.argwhere(wasted[: 10 * rows].reshape(rows, 10)):
+    rows = -(-len(points) // 10)
+    sheet = np.zeros((10 * rows, 28, 28), dtype=images.dtype)
+    sheet[: len(points)] = images
+    ax.imshow(sheet.reshape(rows, 10, 28, 28).swapaxes(1, 2).reshape(28 * rows, 280), cmap="gray_r")
+    for row, column in (divmod(place, 10) for place in np.flatnonzero(wasted)):
         ax.add_patch(Rectangle((28.0 * column, 28.0 * row), 27, 27, fill=False, color=COLOURS["bald"], linewidth=1))
     ax.axis("off")
     ax.set_title(title)

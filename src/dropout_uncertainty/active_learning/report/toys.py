@@ -23,7 +23,8 @@ def play_unsure() -> Toy:
 
 
 UNSURE = """
-([first, second]) => ({ draws, other, sure }) => {
+([first, second]) => ({ draws, other: wanted, sure }) => {
+  const other = Math.min(wanted, draws);
   const p = Array.from({ length: draws }, (_, s) => (s < draws - other ? sure : 1 - sure));
   const mean = p.reduce((sum, value) => sum + value, 0) / draws;
   const entropy = (q) => -[q, 1 - q].reduce((sum, value) => sum + (value > 0 ? value * Math.log(value) : 0), 0);
@@ -50,6 +51,7 @@ UNSURE = """
       paths: scores.map((score, k) => bar(k + 1, 0, score, { stroke: "currentColor", "stroke-width": 40 })),
     }],
     words: `Predictive entropy ${h} nats, mutual information (BALD) ${bald} nats, variation ratios ${ratio}.`
-      + (draws === 1 ? " One draw cannot disagree with itself." : ""),
+      + (draws === 1 ? " One draw cannot disagree with itself." : "")
+      + (other < wanted ? ` There are no ${wanted} draws for the second class: all ${draws} are.` : ""),
   };
 }"""

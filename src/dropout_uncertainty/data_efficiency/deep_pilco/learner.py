@@ -1,7 +1,7 @@
 """Deep PILCO learning the cart-pole swing-up: a unit is a batch of repetitions, a step of its process is a trial."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.plant import cartpole
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole, Rollout
 from dropout_uncertainty.runs.sweep import Sweep
 from dropout_uncertainty.runs.unit import precision_dtype
-from dropout_uncertainty.settings import of_type
+from dropout_uncertainty.settings import at_least, of_type, positive
 
 __all__ = ["AS_TEXT", "AS_WRITTEN", "CONFIGS", "OURS", "SEARCH", "DeepPilcoConfig", "DeepPilcoLearning", "start"]
 
@@ -79,12 +79,11 @@ class DeepPilcoConfig(Planning):
         super().__post_init__()
         if self.integration not in ("runge-kutta", "euler"):
             raise ValueError(f"expected the integration runge-kutta or euler, got {self.integration!r}")
-        if min(self.trials, self.basis, self.model_steps, self.batch) < 1 or min(self.memory, self.redraws) < 0:
-            raise ValueError(f"trials, basis functions, steps and batch must be positive, got {asdict(self)}")
+        at_least(1, trials=self.trials, basis=self.basis, model_steps=self.model_steps, batch=self.batch)
+        at_least(0, memory=self.memory, redraws=self.redraws, weight_std=self.weight_std)
+        positive(model_rate=self.model_rate, length_scale=self.length_scale)
         if len(self.spread) != planning.DIM or min(self.spread) <= 0:
             raise ValueError(f"expected {planning.DIM} positive spreads, one per feature, got {self.spread}")
-        if min(self.model_rate, self.length_scale) <= 0 or self.weight_std < 0:
-            raise ValueError(f"expected a positive step size and length-scale, and a spread of weights, got {self}")
         shares = (self.drop, self.input_drop, self.model_final_rate, self.guard)
         if not all(0 <= share <= 1 for share in shares) or max(self.drop, self.input_drop) == 1:
             raise ValueError(f"expected drop probabilities in [0, 1), final rate and guard in [0, 1], got {shares}")

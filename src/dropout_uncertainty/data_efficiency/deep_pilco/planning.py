@@ -28,7 +28,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco.particles import (
 from dropout_uncertainty.data_efficiency.minimise import batched
 from dropout_uncertainty.data_efficiency.plant.cartpole import FEATURE_NAMES, CartPole
 from dropout_uncertainty.data_efficiency.policies import Layout, RBFPolicy
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import at_least, positive, tidy
 
 OPTIMISERS = ("adam", "bfgs")
 # Optimisation steps whose particles and masks are drawn at once.
@@ -67,10 +67,12 @@ class Planning:
         for name, choices in (("matching", MATCHING), ("cost_of", COST_OF), ("optimiser", OPTIMISERS)):
             if getattr(self, name) not in choices:
                 raise ValueError(f"expected {name} to be one of {', '.join(choices)}, got {getattr(self, name)!r}")
-        if self.particles < 2 or self.policy_steps < 1 or self.policy_rate <= 0:
-            raise ValueError(f"expected 2 or more particles, a step or more and a positive step size, got {self}")
-        if self.clip < 0 or self.redraw_every < 0 or not 0 <= self.policy_final_rate <= 1:
-            raise ValueError(f"expected no negative numbers, and a final rate of at most 1, got {self}")
+        at_least(2, particles=self.particles)
+        at_least(1, policy_steps=self.policy_steps)
+        at_least(0, clip=self.clip, redraw_every=self.redraw_every)
+        positive(policy_rate=self.policy_rate)
+        if not 0 <= self.policy_final_rate <= 1:
+            raise ValueError(f"policy_final_rate must lie in [0, 1], got {self.policy_final_rate}")
         if self.optimiser == "bfgs" and self.redraw_every != 0:
             raise ValueError("BFGS needs the same particles at every step: set redraw_every to 0")
 

@@ -28,7 +28,7 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole
 from dropout_uncertainty.data_efficiency.plant.cost import cost
 from dropout_uncertainty.data_efficiency.policies import RBFPolicy, squash
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import at_least, positive, tidy
 
 __all__ = ["CONFIGS", "PAST", "ControlConfig", "HiddenLearning", "HiddenPolicy"]
 
@@ -62,10 +62,11 @@ class ControlConfig:
 
     def __post_init__(self) -> None:
         tidy(self)
-        if min(self.trials, self.policy_steps, self.basis, self.particles) < 1 or self.redraws < 0:
-            raise ValueError(f"expected trials, steps, basis functions and particles of 1 or more, got {self}")
-        if len(self.spread) != planning.DIM or min(self.spread) <= 0 or min(self.policy_rate, self.weight_std) <= 0:
-            raise ValueError(f"expected positive spreads, one per feature of a state, and step size, got {self}")
+        at_least(1, trials=self.trials, policy_steps=self.policy_steps, basis=self.basis, particles=self.particles)
+        at_least(0, redraws=self.redraws)
+        positive(policy_rate=self.policy_rate, weight_std=self.weight_std)
+        if len(self.spread) != planning.DIM or min(self.spread) <= 0:
+            raise ValueError(f"expected {planning.DIM} positive spreads, one per feature, got {self.spread}")
         if self.clip < 0 or not 0 <= self.guard <= 1:
             raise ValueError(f"expected no negative clip and a guard in [0, 1], got {self.clip} and {self.guard}")
 

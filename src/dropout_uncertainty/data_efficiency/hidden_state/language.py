@@ -26,7 +26,7 @@ from dropout_uncertainty.data_efficiency.hidden_state.lstm import LSTM, Memory
 from dropout_uncertainty.data_efficiency.learning import EXPERIMENT, on_cpu
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import at_least, tidy
 
 __all__ = ["CONFIGS", "MASKS", "Language", "LanguageConfig", "encoded", "start", "text"]
 
@@ -86,10 +86,8 @@ class LanguageConfig:
         tidy(self)
         if self.masks not in MASKS:
             raise ValueError(f"expected masks out of {', '.join(MASKS)}, got {self.masks!r}")
-        if min(self.width, self.batch, self.length, self.passes) < 1 or min(self.train, self.test) < self.batch * (
-            self.length + 1
-        ):
-            raise ValueError(f"expected texts of a sequence or more in each of {self.batch} parts, got {self}")
+        at_least(1, width=self.width, batch=self.batch, length=self.length, passes=self.passes)
+        at_least(self.batch * (self.length + 1), train=self.train, test=self.test)  # a sequence in each part
 
 
 def sequences(

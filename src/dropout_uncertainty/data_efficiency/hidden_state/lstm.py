@@ -36,7 +36,7 @@ class LSTM(nn.Module):
     of the forget gate, at 1, so that the cell remembers at first (Jozefowicz, Zaremba and Sutskever, 2015).
 
     Raises:
-        ValueError: if there are not three sizes and three drop probabilities in [0, 1).
+        ValueError: if there are not three sizes and three drop probabilities in [0, 1), or seeds that differ.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class LSTM(nn.Module):
             raise ValueError(
                 f"expected sizes and drop probabilities of inputs, state and output, got {sizes} and {drop}"
             )
-        self.sizes, self.seeds = tuple(sizes), tuple(seeds)
+        self.sizes, self.seeds = tuple(sizes), rng.check_seeds(seeds)
         self.drop = tuple(check_probability(p) for p in drop)
         inputs, width, outputs = sizes
 

@@ -26,7 +26,7 @@ from dropout_uncertainty.data_efficiency.deep_pilco.dropout_dynamics import (
     without_gradient,
 )
 from dropout_uncertainty.data_efficiency.hidden_state.lstm import LSTM
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import at_least, tidy
 
 __all__ = ["INPUTS", "OUTPUTS", "SEEN", "Fit", "Model", "ModelConfig", "Recurrent", "Windowed", "free_run", "windows"]
 
@@ -245,8 +245,7 @@ class ModelConfig:
                 f"expected one layer of a recurrent network, or some of a feed-forward one, got {self.hidden} of "
                 f"{self.kind!r}; choose one of {', '.join(KINDS)}"
             )
-        if min(*self.hidden, self.window, self.steps, self.batch) < 1:
-            raise ValueError(f"expected widths, windows and numbers of steps of 1 or more, got {self}")
+        at_least(1, hidden=min(self.hidden), window=self.window, steps=self.steps, batch=self.batch)
 
     def model(self, seeds: Sequence[int], dtype: torch.dtype = torch.float32) -> Model:
         """Return new networks."""

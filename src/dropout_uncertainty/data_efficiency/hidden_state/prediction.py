@@ -22,7 +22,7 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER
 from dropout_uncertainty.errors import UserError
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.settings import widened
+from dropout_uncertainty.settings import at_least, widened
 
 __all__ = ["CONFIGS", "FAMILY", "MODELS", "Prediction", "PredictionConfig", "stored_trials"]
 
@@ -43,8 +43,8 @@ class PredictionConfig(ModelConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if min(*self.sizes, self.ahead) < 1 or self.particles < 2:
-            raise ValueError(f"expected a trial or more of data and to predict, and two particles, got {self}")
+        at_least(1, sizes=min(self.sizes), ahead=self.ahead)
+        at_least(2, particles=self.particles)
 
 
 def stored_trials(name: str, seeds: Sequence[int]) -> tuple[Float[Tensor, "R N times 2"], Float[Tensor, "R N T"]]:

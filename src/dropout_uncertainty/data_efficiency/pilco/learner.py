@@ -1,7 +1,7 @@
 """PILCO learning the cart-pole swing-up: one unit is a batch of repetitions, one step of its process is a trial."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from dropout_uncertainty.data_efficiency.plant.cartpole import MATLAB, PAPER, Ca
 from dropout_uncertainty.runs import records
 from dropout_uncertainty.runs.records import Record
 from dropout_uncertainty.runs.sweep import Sweep
-from dropout_uncertainty.settings import of_type, tidy
+from dropout_uncertainty.settings import at_least, of_type, positive, tidy
 
 __all__ = ["CONFIGS", "LONGER", "PILCO_MATLAB", "PILCO_PAPER", "PilcoConfig", "PilcoLearning", "start"]
 
@@ -44,10 +44,12 @@ class PilcoConfig:
 
     def __post_init__(self) -> None:
         tidy(self)
-        if self.trials < 1 or self.basis < 1 or self.policy_iterations < 1 or self.model_iterations < 1:
-            raise ValueError(f"trials, basis functions and line searches must be positive, got {asdict(self)}")
-        if self.inducing < 0 or self.inducing_iterations < 1 or self.target_std <= 0:
-            raise ValueError(f"expected no negative numbers and positive steps and targets, got {asdict(self)}")
+        at_least(
+            1, trials=self.trials, basis=self.basis, policy_iterations=self.policy_iterations,
+            model_iterations=self.model_iterations, inducing_iterations=self.inducing_iterations,
+        )  # fmt: skip
+        at_least(0, inducing=self.inducing)
+        positive(target_std=self.target_std)
         if len(self.log_length_scales) != planning.DIM:
             raise ValueError(f"expected {planning.DIM} length-scales, one per feature, got {self.log_length_scales}")
 

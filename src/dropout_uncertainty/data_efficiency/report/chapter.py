@@ -35,11 +35,11 @@ LATER = "The times of the stored runs are shown when there are some."
 def watch(name: str, config: PilcoConfig | DeepPilcoConfig, seeds: Sequence[int]) -> Iterator[tuple[int, Learning]]:
     """Run a learner before the reader's eyes: give the number of each controlled trial, and the run up to there."""
     start = deep.start if isinstance(config, DeepPilcoConfig) else learner.start
-    process = start(config, tuple(seeds))  # type: ignore[arg-type]
+    process = start(config, seeds)  # type: ignore[arg-type]
     for trial in range(process.total):
         print(f"trial {trial}: {process.advance()}")
         if trial:
-            yield trial, analysis.from_arrays(name, config.plant, process.result(), seeds)
+            yield trial, analysis.from_arrays(name, config.plant, process.result(), process.seeds)
 
 
 def learn(name: str, config: PilcoConfig | DeepPilcoConfig, seeds: Sequence[int]) -> Learning:

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from dropout_uncertainty.bayes import check_probability
-from dropout_uncertainty.exploration.config import NO_DROPOUT, at_least, check_learning
+from dropout_uncertainty.exploration.config import NO_DROPOUT, check_learning
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
-from dropout_uncertainty.settings import idle, tidy
+from dropout_uncertainty.settings import at_least, idle, tidy
 
 __all__ = ["EPISODES", "HELD", "Config", "Held", "make_policy"]
 

@@ -70,7 +70,7 @@ class Curves:
     @property
     def label(self) -> str:
         """Name of the agent in words."""
-        return LABELS[self.agent]
+        return LABELS.get(self.agent, self.agent)
 
     @property
     def ticks(self) -> Int[np.ndarray, " T"]:

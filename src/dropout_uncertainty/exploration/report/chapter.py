@@ -81,12 +81,13 @@ def learn(name: str, config: Config, seeds: Sequence[int]) -> Curves:
     return curves
 
 
-def live_rewards(ax: Axes, live: Mapping[str, Curves]) -> Axes:
+def live_rewards(ax: Axes, live: Mapping[str, Curves], burn_in: int = BURN_IN) -> Axes:
     """Draw the average reward of live runs against ticks; a line marks the end of the burn-in."""
-    for curves, colour in zip(live.values(), (COLOURS["thompson"], "#882255"), strict=False):
+    colours = [COLOURS["thompson"], "#882255", *(f"C{number}" for number in range(len(live)))]
+    for curves, colour in zip(live.values(), colours, strict=False):
         band(ax, curves.ticks, curves.average, colour=colour, label=curves.label)
-    ax.axvline(BURN_IN, color="#888888", linewidth=0.8)
-    place = (BURN_IN, ax.get_ylim()[0])
+    ax.axvline(burn_in, color="#888888", linewidth=0.8)
+    place = (burn_in, ax.get_ylim()[0])
     ax.annotate("end of the burn-in", place, xytext=(4, 4), textcoords="offset points")
     ax.set(xlabel="ticks", ylabel="average reward")
     ax.legend()

@@ -73,7 +73,9 @@ class Dives:
         return f"{FAMILY}/{self.agent}/{self.size}"
 
     def within(self, episodes: int = HORIZON) -> Bool[np.ndarray, " R"]:
-        """Return which seas were solved within so many episodes."""
+        """Return which seas were solved within so many episodes; raises ValueError beyond those that were played."""
+        if episodes > (played := self.last[~np.isfinite(self.solved)].min(initial=np.inf)):
+            raise ValueError(f"{self.config} was played for {played:,.0f} episodes, got {episodes:,}: ask for fewer")
         return self.solved <= episodes
 
     def share(self, episodes: int = HORIZON) -> Interval:
