@@ -6,7 +6,7 @@
 The commit is checked out into a temporary worktree. For each piece of work two processes of one thread, one per tree,
 do the same in turns, so that whatever else the machine does falls on both; the table has the medians over the pairs and
 the median of the ratios with its quartiles. The peak memory is that of the process, Python and torch included.
-With --profile: where the time of this tree goes, by operator.
+With --profile: where the time of this tree goes.
 """
 
 import argparse
@@ -185,8 +185,8 @@ def serve(name: str, quick: bool) -> None:
         print(json.dumps([seconds, peak]), flush=True)
 
 
-def profile(name: str, quick: bool, lines: int = 8) -> None:
-    """Print what share of a piece of work its matrix products take, what Python does, and the longest operators."""
+def profile(name: str, quick: bool) -> None:
+    """Print the share of a piece of work in matrix products, outside of operators, and in the longest of them."""
     np, torch = import_module("numpy"), import_module("torch")
     torch.set_num_threads(1)
     work, _ = WORKS[name](quick)
@@ -208,7 +208,7 @@ def profile(name: str, quick: bool, lines: int = 8) -> None:
     products = sum(e.self_cpu_time_total for e in operators if any(word in e.key for word in ("mm", "conv", "matmul")))
     print(f"\n{name}: {wall / 1e3:.0f} ms, {sum(e.count for e in operators)} calls")
     print(f"  {products / wall:6.1%} matrix products\n  {1 - inside / wall:6.1%} outside of operators")
-    for e in operators[:lines]:
+    for e in operators[:8]:
         print(f"  {e.self_cpu_time_total / wall:6.1%} {e.key}, {e.count} of {e.self_cpu_time_total / e.count:.0f} us")
 
 
@@ -226,7 +226,7 @@ def worktree(commit: str) -> Iterator[Path]:
 
 def pairs(name: str, trees: tuple[Path, Path], count: int, quick: bool) -> list[list[list[float]]]:
     """Return seconds and peak memory of both trees, turn by turn; the first turn warms up and is left out."""
-    command = [sys.executable, __file__, "HEAD", "--worker", name, *(["--quick"] if quick else [])]
+    command = [sys.executable, __file__, "--worker", name, *(["--quick"] if quick else [])]
     with contextlib.ExitStack() as stack:
         workers = []
         for tree in trees:
@@ -259,13 +259,13 @@ def main() -> None:
     if options.worker:
         serve(options.worker, options.quick)
         return
+    if options.profile == bool(options.commit):
+        parser.error("expected either a commit to compare with, or --profile")
     if options.profile:
         for name in WORKS:
             if options.only in name:
                 profile(name, options.quick)
         return
-    if options.commit is None:
-        parser.error("expected a commit to compare with, or --profile")
     torch, records = import_module("torch"), module("runs.records")
     print(f"{records.provenance()['processor']}, torch {torch.__version__}, one thread; CPU milliseconds", end="")
     print(f", medians of {options.pairs} pairs\n")

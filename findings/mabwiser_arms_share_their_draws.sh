@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# mabwiser 2.7.4: in Thompson sampling all arms draw the same random numbers, so that they are hardly compared at random.
+# mabwiser 2.7.4: in Thompson sampling all arms draw the same random numbers, so that chance hardly enters
+# their comparison.
 #
 # Guess (written when a script for another fault had shown draws in common, not yet what they do to decisions):
 #   `LinTS` at its defaults draws the coefficients of each arm from a normal distribution of the arm's own, as its

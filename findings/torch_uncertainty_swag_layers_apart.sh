@@ -3,7 +3,7 @@
 #
 # Guess: with `diag_covariance=False` a sample has the paper's covariance, a diagonal plus the deviations of the
 #   collected networks, over all parameters at once: `block`, documented as sampling a block-diagonal covariance, is
-#   off, and cannot be had. If weight and bias of a line have a correlation of -0.95 in training, about half of that
+#   off. If weight and bias of a line have a correlation of -0.95 in training, about half of that
 #   is left in the samples; the variance of a prediction agrees with the one from the collected numbers to 10 %, and
 #   to 20 % for a small network.
 # Seen: the collected deviations are right, but each tensor draws its own mixture of them, so that the samples of two
@@ -37,7 +37,7 @@ from torch_uncertainty.methods import SWAG
 
 
 class Whole:
-    """The paper's Gaussian with the same scale, from the numbers that the library has collected."""
+    """The paper's Gaussian, not halved, as at the library's scale of 1, from the numbers that the library has collected."""
 
     def __init__(self, swag):
         self.network = copy.deepcopy(swag.core_model)

@@ -117,7 +117,7 @@ class MLP(nn.Module):
 
     Raises:
         ValueError: if ``drop`` has not one probability in [0, 1) per weight layer, the activation is unknown, or a seed
-            is none or comes twice.
+            is negative or comes twice.
     """
 
     def __init__(
@@ -130,7 +130,6 @@ class MLP(nn.Module):
         dtype: torch.dtype = torch.float32,
     ) -> None:
         super().__init__()
-        drop = tuple(drop) if isinstance(drop, Sequence) else (drop,)
         if len(drop) != len(sizes) - 1:
             raise ValueError(f"expected one drop probability per weight layer ({len(sizes) - 1}), got {len(drop)}")
         if activation not in ACTIVATIONS:

@@ -41,14 +41,14 @@ def of_type(kind: type, value: Any, name: str) -> Any:
 
 
 def at_least(low: int, **settings: int | float) -> None:
-    """Raise ValueError, by its name, for a setting below a number."""
+    """Raise ValueError, which names the setting, if one is below a number."""
     for name, value in settings.items():
         if value < low:
             raise ValueError(f"{name} must be at least {low}, got {value}")
 
 
 def positive(**settings: int | float) -> None:
-    """Raise ValueError, by its name, for a setting that is not above 0."""
+    """Raise ValueError, which names the setting, if one is not above 0."""
     for name, value in settings.items():
         if value <= 0:
             raise ValueError(f"{name} must be positive, got {value}")

@@ -36,15 +36,15 @@ def toy():
 
 
 def test_a_slider_reaches_where_it_starts():
-    for start, wanted in ((0.6, (0, 0.6, 0.05)), (0.12, (0, 0.5, 0.01)), (-1, (-1, 0.5, 0.05)), (0.35, (0, 0.5, 0.05))):
+    for start, wanted in (
+        (0.6, (0, 0.6, 0.05)),
+        (0.12, (0, 0.5, 0.01)),
+        (-1, (-1, 0.5, 0.05)),
+        (0.35, (0, 0.5, 0.05)),
+        (1e-5, (0, 0.5, 1e-5)),
+    ):
         slider = Slider("p", "drop probability", start, 0, 0.5, 0.05)
         assert (slider.low, slider.high, slider.step) == pytest.approx(wanted)
-
-
-def test_functions_cannot_be_drawn_without_dropout():
-    network = MLP((1, 8, 1), drop=(0.0, 0.0), seeds=[100]).requires_grad_(False)
-    with pytest.raises(ValueError, match="expected a network with dropout"):
-        toys.play_functions(network, GRID, (torch.zeros(1, 2, 1), torch.zeros(1, 2, 1)), noise=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +126,7 @@ def test_keys_move_a_slider_and_draw_again(toy, shown):
         MLP((1, 100, 100, 1), (0.0, 0.2, 0.2), seeds=[100]),
         MLP((1, 40, 1), (0.2, 0.2), seeds=[100], activation="tanh"),
         MLP((1, 30, 20, 10, 1), (0.0, 0.0, 0.2, 0.0), seeds=[100], activation="sigmoid"),
+        MLP((1, 20, 1), (0.0, 0.0), seeds=[100]),
     ],
 )
 def test_page_draws_the_functions_of_the_package(network, shown):
@@ -134,7 +135,7 @@ def test_page_draws_the_functions_of_the_package(network, shown):
     masks = network.draw(5, "test")
     held = tuple(m if m is None else m.repeat_interleave(len(GRID), dim=1) for m in masks)
     curves = network(GRID.repeat(5).reshape(1, -1, 1), held).reshape(5, -1)
-    kept = torch.cat([m[0] > 0 for m in masks if m is not None], dim=-1).flatten()
+    kept = torch.cat([m[0] > 0 for m in masks if m is not None] or [torch.zeros(5, 0)], dim=-1).flatten()
     picture = computed(shown(toy), {"p": 0.2, "draws": 5, "noise": 0.3}, kept.double().tolist())
     band, *drawn, mean, _ = picture["panels"][0]["paths"]
     np.testing.assert_allclose([path["y"] for path in drawn], curves, atol=2e-6)
@@ -143,7 +144,7 @@ def test_page_draws_the_functions_of_the_package(network, shown):
     np.testing.assert_allclose(band["y"][: len(GRID)], curves.mean(0) + 2 * total, atol=1e-5)
     gap = curves.var(0)[GRID.abs() <= 1].mean()
     assert f"{gap**0.5:.3f} ({(gap + 0.3**2) ** 0.5:.3f}) in the gap" in picture["words"]
-    without = computed(shown(toy), {"p": 0, "draws": 2, "noise": 0}, [0.0] * 600)["panels"][0]["paths"]
+    without = computed(shown(toy), {"p": 0, "draws": 2, "noise": 0}, [0.0] * 400)["panels"][0]["paths"]
     np.testing.assert_allclose(without[1]["y"], network(GRID.reshape(1, -1, 1)).flatten(), atol=2e-6)
 
 
@@ -159,6 +160,15 @@ def test_page_scores_an_image_as_the_package(draws, other, sure, shown):
     picture = computed(shown(play_unsure()), {"draws": draws, "other": other, "sure": sure})
     assert [path["y"][1] for path in picture["panels"][1]["paths"]] == pytest.approx(wanted, abs=1e-12)
     assert all(f"{value:.3f}" in picture["words"] for value in wanted)
+
+
+@pytest.mark.slow
+def test_no_more_draws_are_counted_than_there_are(shown):
+    page = shown(play_unsure())
+    few, all_of_them = (computed(page, {"draws": 3, "other": other, "sure": 0.9}) for other in (20, 3))
+    assert few["panels"] == all_of_them["panels"]
+    assert "No more than 3 of 3 draws can be for the second class, not 20." in few["words"]
+    assert "No more" not in all_of_them["words"]
 
 
 @pytest.mark.slow

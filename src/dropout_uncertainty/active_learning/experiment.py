@@ -271,7 +271,11 @@ class CNNLearner:
         self.draws_per_point = config.masks_per_image
 
     def fit(self, labelled: Int[Tensor, "R n"]) -> None:
-        """Train new networks on the given training points: Adam, fresh weight draws in every step."""
+        """Train new networks on the given training points: Adam, fresh weight draws in every step.
+
+        Raises:
+            ValueError: if there are not as many rows as replicas.
+        """
         if len(labelled) != len(self.seeds):
             raise ValueError(f"expected labelled points [R, n] of {len(self.seeds)} replicas, got {len(labelled)}")
         self.round, self.scored = self.round + 1, 0

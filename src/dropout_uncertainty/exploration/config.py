@@ -9,7 +9,7 @@ from dropout_uncertainty.exploration.foraging.world import CHUNK, Rules
 from dropout_uncertainty.exploration.policies import POLICIES, Policy, policy
 from dropout_uncertainty.settings import at_least, idle, tidy
 
-__all__ = ["BLOCK", "NO_DROPOUT", "AgentConfig", "Config", "at_least", "check_learning", "make_policy"]
+__all__ = ["BLOCK", "NO_DROPOUT", "AgentConfig", "Config", "check_learning", "make_policy"]
 
 #: Ticks per block, the unit in which results are kept: one point of the demo's plot.
 BLOCK = 500

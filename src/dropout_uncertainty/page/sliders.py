@@ -8,6 +8,7 @@ import base64
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from html import escape
 
 import numpy as np
@@ -39,7 +40,7 @@ class Slider:
         self.low, self.high = min(self.low, self.start), max(self.high, self.start)
         steps = (self.start - self.low) / self.step
         if abs(steps - round(steps)) > 1e-6:
-            self.step = 10 ** -len(f"{self.start:g}".partition(".")[2])
+            self.step = 10.0 ** int(Decimal(str(self.start)).as_tuple().exponent)
 
 
 def floats(values: ArrayLike) -> str:

@@ -62,13 +62,8 @@ def play_functions(net: MLP, grid: Float[Tensor, " N"], points: tuple[Tensor, Te
 
     Sliders set the drop probability wherever the network has dropout, the number of draws and the noise of a new
     observation; the weights stay.
-
-    Raises:
-        ValueError: for a network without dropout.
     """
-    trained = sorted({p for p in net.drop if p})
-    if not trained:
-        raise ValueError("expected a network with dropout, got drop probabilities of 0: all its draws are the same")
+    trained = sorted({p for p in net.drop if p}) or [0.0]
     sliders = [
         Slider("p", "drop probability", trained[-1], 0, 0.5, 0.05),
         Slider("draws", "number of draws", 20, 2, 100, 1),
@@ -111,7 +106,8 @@ FUNCTIONS = """
     }
     return units;
   };
-  const first = dropped.indexOf(true), count = ([weights, biases]) => weights.length / biases.length;
+  const first = dropped.includes(true) ? dropped.indexOf(true) : parts.length;
+  const count = ([weights, biases]) => weights.length / biases.length;
   const before = grid.map((at) => pass([at], 0, first, [])); // the same in every draw
 
   return ({ p, draws, noise }, random) => {

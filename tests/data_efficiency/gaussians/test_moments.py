@@ -77,8 +77,9 @@ def draws(x, count, seed=101):
     return x.mean + (torch.linalg.cholesky(x.cov) @ noise[..., None])[..., 0]
 
 
-def test_functions_match_monte_carlo():
-    plain, posterior, x = some_functions()
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_functions_match_monte_carlo(outputs):
+    plain, posterior, x = some_functions(outputs=outputs)
     samples = draws(x, 40_000).transpose(0, 1)  # [R, K, D]
     values = plain(samples)
     centred = values - values.mean(1, keepdim=True)

@@ -69,7 +69,8 @@ def test_held_masks_last_for_a_sequence_and_drop_characters():
 
 
 @pytest.mark.parametrize(
-    ("change", "words"), [({"masks": "some"}, "expected masks out of"), ({"train": 50}, "train must be at least")]
+    ("change", "words"),
+    [({"masks": "some"}, "expected masks out of"), ({"train": 50}, "train and test must be at least")],
 )
 def test_settings_that_cannot_be_are_refused(change, words):
     with pytest.raises(ValueError, match=words):

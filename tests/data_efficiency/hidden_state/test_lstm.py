@@ -124,3 +124,5 @@ def test_the_forget_gate_begins_open():
 def test_sizes_that_are_not_three_are_refused():
     with pytest.raises(ValueError, match="inputs, state and output"):
         LSTM((4, 6), (0.1, 0.1, 0.1), SEEDS)
+    with pytest.raises(ValueError, match="each 0 or more and once only"):
+        LSTM(SIZES, (0.1, 0.1, 0.1), (100, 100))

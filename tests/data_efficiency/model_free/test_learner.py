@@ -156,11 +156,11 @@ def test_where_all_have_ended_nothing_is_computed(monkeypatch):
     [
         ({"method": "sac"}, "expected the method ddpg or naf, got 'sac'"),
         ({"trials": 25}, "whole blocks"),
-        ({"batch": 1}, "at least two transitions"),
+        ({"batch": 1}, "batch must be at least 2, got 1"),
         ({"hidden": (10,)}, "two or more hidden layers"),
         ({"scale": (1.0, 1.0)}, "five positive scales"),
         ({"discount": 1.5}, "shares between 0 and 1"),
-        ({"value_rate": 0.0}, "positive step sizes"),
+        ({"value_rate": 0.0}, "value_rate must be positive, got 0.0"),
     ],
 )
 def test_wrong_settings_are_answered_in_a_sentence(values, words):

@@ -40,6 +40,17 @@ def curves(average, agent="thompson", **arrays):
     return analysis.Curves(agent, "test", average, tuple(range(len(average))), arrays)
 
 
+def test_each_live_agent_is_drawn_in_a_colour_of_its_own():
+    agents = {name: curves(np.ones((2, 8)), name) for name in ("thompson", "five-percent", "greedy")}
+    fig, ax = plt.subplots()
+    chapter.live_rewards(ax, agents, burn_in=1000)
+    legend = ax.get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["Thompson sampling", "five-percent", "No exploration"]
+    assert len({handle.get_color() for handle in legend.legend_handles}) == 3
+    assert list(ax.lines[-1].get_xdata()) == [1000, 1000]
+    plt.close(fig)
+
+
 def write(folder, name, shapes, seeds=range(RUNS)):
     config = CONFIGS[name]
     blocks = config.ticks // analysis.BLOCK

@@ -1,7 +1,7 @@
 """Figures 5.1 and 5.2, the acquired digits and the digits that each function asks for: rows in, axes out."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -26,11 +26,11 @@ __all__ = [
 ]  # fmt: skip
 
 
-def _check(names: Sequence[str]) -> None:
+def _check(names: Sequence[str], known: Collection[str]) -> None:
     """Raise ValueError for a name that no row has: it would be left out without a word."""
     for name in names:
-        if name not in LABELS:
-            raise ValueError(unknown("row", name, LABELS))
+        if name not in known:
+            raise ValueError(unknown("row", name, known))
 
 
 def colour(name: str) -> str:
@@ -101,8 +101,12 @@ def minibatches(axes: Sequence[Axes], found: Mapping[str, Row]) -> None:
 
 
 def to_choose(rows: Mapping[str, Row], original: Mapping[str, Row] | None, shown: Sequence[str]) -> Curves:
-    """Return the learning curves of the rows of the tables, each with a box to tick; those of ``shown`` are ticked."""
-    _check(shown)
+    """Return the learning curves of the rows of the tables, each with a box to tick; those of ``shown`` are ticked.
+
+    Raises:
+        ValueError: for a name that is no row's.
+    """
+    _check(shown, ROWS)
     curves = Curves("Falling error curves on a logarithmic axis, one for each row; boxes choose which")
     for name in (name for name in rows if name in ROWS):
         with curves.group(rows[name].label, shown=name in shown):
@@ -132,8 +136,12 @@ def pool_curves(axes: Sequence[Axes], pools: Mapping[str, Mapping[str, Row]]) ->
 
 
 def bought(axes: Sequence[Axes], kind: str, rows: Mapping[str, Row], names: Sequence[str]) -> None:
-    """Draw the first sixty images that some rows acquired from a kind of pool, one panel each; rows may be missing."""
-    _check(names)
+    """Draw the first sixty images that some rows acquired from a kind of pool, one panel each; rows may be missing.
+
+    Raises:
+        ValueError: for a name that is no row's.
+    """
+    _check(names, LABELS)
     found = [rows[name] for name in names if name in rows]
     for ax in axes:
         ax.axis("off")

@@ -52,6 +52,6 @@ UNSURE = """
     }],
     words: `Predictive entropy ${h} nats, mutual information (BALD) ${bald} nats, variation ratios ${ratio}.`
       + (draws === 1 ? " One draw cannot disagree with itself." : "")
-      + (other < wanted ? ` There are no ${wanted} draws for the second class: all ${draws} are.` : ""),
+      + (other < wanted ? ` No more than ${draws} of ${draws} draws can be for the second class, not ${wanted}.` : ""),
   };
 }"""

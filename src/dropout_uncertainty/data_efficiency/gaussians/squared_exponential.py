@@ -352,8 +352,9 @@ def _sums(factors: Sequence[Tensor], curvature: Tensor | None = None) -> tuple[T
     shape = factors[0].shape[:2]
     row, column, outer, inner = (part.flatten(0, 1) for part in factors)
     over_m, over_n = torch.empty_like(inner), torch.empty_like(outer)
-    parts = blocks(len(outer), outer.shape[1] ** 2, outer.device)
-    kept = row.new_empty(parts[0].stop, *2 * outer.shape[1:])  # to get fresh memory takes as long as to fill it
+    size = outer.shape[1]
+    parts = blocks(len(outer), size**2, outer.device)  # none of mixed pairs where there is one output
+    kept = row.new_empty(parts[0].stop if parts else 0, size, size)  # new memory costs as much as filling it
     for block in parts:
         w = torch.bmm(row[block], column[block], out=kept[: block.stop - block.start]).exp2_()
         if curvature is not None:

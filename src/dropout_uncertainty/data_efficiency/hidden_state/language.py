@@ -87,7 +87,11 @@ class LanguageConfig:
         if self.masks not in MASKS:
             raise ValueError(f"expected masks out of {', '.join(MASKS)}, got {self.masks!r}")
         at_least(1, width=self.width, batch=self.batch, length=self.length, passes=self.passes)
-        at_least(self.batch * (self.length + 1), train=self.train, test=self.test)  # a sequence in each part
+        if (least := self.batch * (self.length + 1)) > min(self.train, self.test):
+            raise ValueError(
+                f"train and test must be at least {least}, a sequence in each of {self.batch} parts, "
+                f"got {self.train} and {self.test}"
+            )
 
 
 def sequences(

@@ -36,7 +36,7 @@ class LSTM(nn.Module):
     of the forget gate, at 1, so that the cell remembers at first (Jozefowicz, Zaremba and Sutskever, 2015).
 
     Raises:
-        ValueError: if there are not three sizes and three drop probabilities in [0, 1), or seeds that differ.
+        ValueError: if there are not three sizes and three drop probabilities in [0, 1), or a seed is negative or twice.
     """
 
     def __init__(

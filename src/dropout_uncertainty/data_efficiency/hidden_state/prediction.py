@@ -43,7 +43,7 @@ class PredictionConfig(ModelConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(1, sizes=min(self.sizes), ahead=self.ahead)
+        at_least(1, sizes=min(self.sizes, default=0), ahead=self.ahead)
         at_least(2, particles=self.particles)
 
 

@@ -1,10 +1,10 @@
 """Settings of the learners without a model, and where they stand in the papers."""
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from dropout_uncertainty.data_efficiency.plant.cartpole import PAPER, CartPole
-from dropout_uncertainty.settings import tidy
+from dropout_uncertainty.settings import at_least, positive, tidy
 
 __all__ = ["DDPG_AS_PRINTED", "DDPG_TUNED", "ENDS", "NAF_AS_PRINTED", "NAF_TUNED", "SEARCH", "ModelFreeConfig"]
 
@@ -52,18 +52,16 @@ class ModelFreeConfig:
         counts = {name: getattr(self, name) for name in ("trials", "test_every", "solved_tests", "updates")}
         if min(counts.values()) < 1 or self.trials % self.test_every:
             raise ValueError(f"expected positive numbers, and trials in whole blocks of test_every, got {counts}")
-        if self.batch < 2 or self.memory < self.batch:
-            raise ValueError(
-                f"expected minibatches of at least two transitions and a memory of one, got {asdict(self)}"
-            )
+        at_least(2, batch=self.batch)
+        at_least(self.batch, memory=self.memory)
         if not self.hidden or min(self.hidden) < 1 or (self.method == "ddpg" and len(self.hidden) < 2):
             raise ValueError(
                 f"expected two or more hidden layers, the action joins behind the first, got {self.hidden}"
             )
         if len(self.scale) != 5 or min(self.scale) <= 0:
             raise ValueError(f"expected five positive scales, one per feature, got {self.scale}")
-        if min(self.policy_rate, self.value_rate) <= 0 or min(self.value_decay, self.noise_std) < 0:
-            raise ValueError(f"expected positive step sizes, and a decay and noise of at least 0, got {asdict(self)}")
+        positive(policy_rate=self.policy_rate, value_rate=self.value_rate)
+        at_least(0, value_decay=self.value_decay, noise_std=self.noise_std)
         shares = {name: getattr(self, name) for name in ("discount", "follow", "noise_return")}
         if not all(0 <= share <= 1 for share in shares.values()):
             raise ValueError(f"expected shares between 0 and 1, got {shares}")

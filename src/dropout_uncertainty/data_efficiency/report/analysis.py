@@ -35,6 +35,7 @@ LABELS: dict[str, str] = {
     "pilco-paper": "PILCO",
     "deep-pilco-ours": "Deep PILCO",
     "deep-pilco-as-written": "Deep PILCO, as written",
+    "deep-pilco-as-text": "Deep PILCO, as the text has it",
     "ddpg": "DDPG",
     "naf": "NAF",
     "pilco-paper-15": "PILCO",
@@ -48,6 +49,7 @@ NAMES: dict[str, str] = {
     "pilco-paper": "pilco",
     "deep-pilco-ours": "deep-pilco",
     "deep-pilco-as-written": "deep-pilco/as-written",
+    "deep-pilco-as-text": "deep-pilco/as-text",
     "pilco-matlab": "pilco/matlab",
     "ddpg": "ddpg",
     "naf": "naf",
@@ -333,6 +335,7 @@ def _repeated_costs(learning: Learning, trial: int) -> Tensor:
     return cost.cost(learning.plant, torch.from_numpy(repeats(learning, trial)[:, :, 1:]))
 
 
+#: What to do if numbers of a reader's own leave the band.
 OWN = "; this checks the page as it stands: for numbers of your own take the profile recorded"
 
 

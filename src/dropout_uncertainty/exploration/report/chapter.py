@@ -1,5 +1,6 @@
 """What the notebook of section 5.3 asks for in one call: the runs of a profile, live runs, and pictures of both."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -83,9 +84,9 @@ def learn(name: str, config: Config, seeds: Sequence[int]) -> Curves:
 
 def live_rewards(ax: Axes, live: Mapping[str, Curves], burn_in: int = BURN_IN) -> Axes:
     """Draw the average reward of live runs against ticks; a line marks the end of the burn-in."""
-    colours = [COLOURS["thompson"], "#882255", *(f"C{number}" for number in range(len(live)))]
-    for curves, colour in zip(live.values(), colours, strict=False):
-        band(ax, curves.ticks, curves.average, colour=colour, label=curves.label)
+    colours = itertools.cycle(COLOURS[name] for name in ("thompson", "annealed-thompson", "epsilon-greedy", "greedy"))
+    for curves in live.values():
+        band(ax, curves.ticks, curves.average, colour=next(colours), label=curves.label)
     ax.axvline(burn_in, color="#888888", linewidth=0.8)
     place = (burn_in, ax.get_ylim()[0])
     ax.annotate("end of the burn-in", place, xytext=(4, 4), textcoords="offset points")

@@ -241,6 +241,21 @@ def test_published_runs_are_what_the_page_was_written_for():
     assert "ensemble-mean" not in pairs
 
 
+def test_what_is_left_of_a_cloud_and_the_texts_learner_are_what_the_page_says():
+    def left(cloud, noise, of="left"):
+        return t_interval(np.log(getattr(cloud, of)[noise][..., -1]).mean(1))
+
+    text, paper, ours = worth.clouds()
+    assert np.log(0.5) > max(left(cloud, "plain").high for cloud in (text, paper))
+    assert np.exp(left(text, "plain").value) == pytest.approx(1 / 3, abs=0.07)
+    for cloud in (text, paper, ours):
+        assert left(cloud, "standardised").low < 0 < left(cloud, "standardised").high
+        assert left(cloud, "standardised", "typical").high < 0
+    assert np.exp(left(ours, "standardised").low) > 0.85
+    learning = worth.stored()("deep-pilco-as-text")
+    assert learning.solved_by(25).high < 0.5
+
+
 def test_a_sure_pilco_is_what_the_page_says():
     """Where this fails, read *Model bias, looked at* and *What it means* on *What is doubt worth?*."""
     pair = {found.name: found for found in worth.pairs(worth.stored())}["pilco-mean"]

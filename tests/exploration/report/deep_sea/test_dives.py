@@ -48,7 +48,7 @@ def test_unsolved_seas_are_censored_not_dropped():
     np.testing.assert_allclose(curve.evaluate([9, 10, 20, 35, 40]), [1, 0.75, 0.5, 0.5, 0])
     assert mine.share(25).value == 0.5
     assert mine.share(25).low < 0.5 < mine.share(25).high
-    with pytest.raises(ValueError, match="was played for 30 episodes, got 31"):
+    with pytest.raises(ValueError, match="played for 30 episodes, so nothing is known of 31"):
         mine.within(31)
     np.testing.assert_array_equal(mine.reached(5)[:2, :2], [[1, 0], [0, 0]])
     assert mine.reached(6)[1, 1] == 0.25

@@ -99,7 +99,7 @@ def splitting(
         axes[0].plot(paths[matched], color=colour, lw=0.8, alpha=0.8)
         for ax, values in zip(axes[1:], found[matched], strict=True):
             ax.plot(psi, values, color=colour, label=words)
-    axes[0].set(xlabel="time", ylabel="place", title="one draw", xticks=range(len(paths[False])))
+    axes[0].set(xlabel="time", ylabel="place", xticks=range(len(paths[False])))
     axes[1].set(xlabel=r"$\psi$", ylabel="expected cost", title="objective")
     axes[2].set(xlabel=r"$\psi$", ylabel="std over draws", title="gradient estimate")
     axes[1].legend()

@@ -75,7 +75,10 @@ class Dives:
     def within(self, episodes: int = HORIZON) -> Bool[np.ndarray, " R"]:
         """Return which seas were solved within so many episodes; raises ValueError beyond those that were played."""
         if episodes > (played := self.last[~np.isfinite(self.solved)].min(initial=np.inf)):
-            raise ValueError(f"{self.config} was played for {played:,.0f} episodes, got {episodes:,}: ask for fewer")
+            raise ValueError(
+                f"{self.config}: unsolved seas were played for {played:,.0f} episodes, "
+                f"so nothing is known of {episodes:,}"
+            )
         return self.solved <= episodes
 
     def share(self, episodes: int = HORIZON) -> Interval:

@@ -32,6 +32,8 @@ COSTS = ("costs more", "costs less", "may cost more or less")
 TINY_PILCO: dict[str, Any] = {"trials": 2, "policy_iterations": 4, "model_iterations": 10}
 TINY_PLAN: dict[str, Any] = {"particles": 10, "policy_steps": 8}
 TINY_GRADIENTS: dict[str, Any] = {"particles": 10, "draws": 4, "horizons": (5, 15, 25)}
+#: The settings of Deep PILCO, from the text's to ours.
+SETTINGS = ("deep-pilco-as-text", "deep-pilco-as-written", "deep-pilco-ours")
 #: Choices of the text that are run live.
 LIVE = ("matching", "angle-features")
 
@@ -40,6 +42,7 @@ LIVE = ("matching", "angle-features")
 class Runs:
     """What the chapter shows, as far as it has been run."""
 
+    settings: Sequence[Learning]  #: of Deep PILCO.
     pairs: Sequence[Comparison]
     literal: dict[str, list[Comparison]]
     particles: Sequence[Comparison]
@@ -49,7 +52,10 @@ class Runs:
     @classmethod
     def of(cls, find: worth.Find, clouds: Sequence[Cloud], estimates: Estimates | None) -> "Runs":
         """Return what can be compared of the learners that are found."""
-        return cls(worth.pairs(find), worth.literal_pairs(find), worth.particle_pairs(find), clouds, estimates)
+        settings = [learning for name in SETTINGS if (learning := find(name))]
+        return cls(
+            settings, worth.pairs(find), worth.literal_pairs(find), worth.particle_pairs(find), clouds, estimates
+        )
 
     @property
     def pilco(self) -> Comparison | None:
@@ -60,7 +66,8 @@ class Runs:
     def records(self) -> list[Record]:
         """The records of all this, each once."""
         compared = [*self.pairs, *self.particles, *(found for those in self.literal.values() for found in those)]
-        made = [record for x in compared for record in (*x.first.records, *x.second.records)]
+        made = [record for learning in self.settings for record in learning.records]
+        made += [record for x in compared for record in (*x.first.records, *x.second.records)]
         made += [record for cloud in self.clouds for record in cloud.records]
         made += self.estimates.records if self.estimates else []
         return list({record.label: record for record in made}.values())
