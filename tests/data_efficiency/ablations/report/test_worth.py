@@ -1,6 +1,7 @@
 """What doubt is worth, from small made-up records: pairs, promises, coverage, both directions, clouds, pictures."""
 
 import io
+from dataclasses import replace
 
 import matplotlib
 import numpy as np
@@ -202,6 +203,9 @@ def test_sentences_show_the_numbers(folder):
     more = in_words(paired_difference(by["mean-network"], by["no-dropout"]))
     assert f"Beside no dropout at all, **Deep PILCO, planned on the mean network** costs {more} more" in text
     assert "In both directions: matching." in chapter.choices(found).markdown
+    one_way = chapter.choices(replace(found, literal=found.literal | {"add": []})).markdown
+    assert one_way.startswith("Of 2 taken from ours, these make it dearer: matching.")
+    assert "added" not in one_way
     assert "0.10 [0.10, 0.10] with plain noise" in chapter.clouds(found).markdown
     assert "has 0.50 [0.50, 0.50] times the norm" in chapter.grown(found.estimates).markdown
     assert "expected of its first 5 trials 0.20" in chapter.trusted(found.pilco).markdown

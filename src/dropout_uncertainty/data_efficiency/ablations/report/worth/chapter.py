@@ -188,15 +188,18 @@ def trusted(found: Comparison | None, trials: int = 5) -> Words:
 
 def choices(found: Runs) -> Words:
     """Return which choices help where they are added, and which hurt where they are taken, beyond their interval."""
-    helps = [x.name for x in found.literal["add"] if x.cost_difference.high < 0]
-    needed = [x.name for x in found.literal["drop"] if x.cost_difference.low > 0]
-    if not any(found.literal.values()):
-        return Words("")
+    added, taken = found.literal["add"], found.literal["drop"]
+    helps = [x.name for x in added if x.cost_difference.high < 0]
+    needed = [x.name for x in taken if x.cost_difference.low > 0]
     tell = lambda names: ", ".join(name.replace("-", " ") for name in names) or "none"  # noqa: E731
-    return Words(
-        f"Added to the text's learner, these make learning cheaper beyond their interval: {tell(helps)}. Taken from "
-        f"ours, these make it dearer: {tell(needed)}. In both directions: {tell([n for n in helps if n in needed])}."
-    )
+    said = []
+    if added:
+        said.append(f"Of {len(added)} added to the text's learner, these make learning cheaper: {tell(helps)}.")
+    if taken:
+        said.append(f"Of {len(taken)} taken from ours, these make it dearer: {tell(needed)}.")
+    if added and taken:
+        said.append(f"In both directions: {tell([name for name in helps if name in needed])}.")
+    return Words(" ".join([*said, "Each beyond its interval."] if said else []))
 
 
 def clouds(found: Runs) -> Words:

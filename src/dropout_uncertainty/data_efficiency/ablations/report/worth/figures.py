@@ -120,7 +120,10 @@ def both_ways(groups: Mapping[str, Sequence[Comparison]]) -> Figure | None:
         for found in groups[way]:
             whisker(ax, names.index(found.name), found.cost_difference, DARK)
         _rows(ax, [name.replace("-", " ") for name in names])
+        if not groups[way]:
+            ax.text(0.5, 0.5, "not run yet", transform=ax.transAxes, ha="center", va="center")
         ax.set(title=words, xlabel="cost per step, difference")
+        ax.locator_params(axis="x", nbins=5)
     return figure
 
 
