@@ -174,6 +174,8 @@ def test_published_pools_are_what_the_page_was_written_for():
     worse = pools.contrast(found, "irrelevant", "dropout/bald", "random").difference
     assert len(worse) == 5
     assert worse.min() > 0
+    assert (pools.contrast(found, "irrelevant", "softmax/max-entropy", "random").difference > 0).sum() == 4
+    assert pools.contrast(found, "ambiguous", "dropout/mean-std", "random").difference.max() < 0
 
 
 def test_every_comparison_is_of_rows_that_are_run():

@@ -251,13 +251,16 @@ def test_what_is_left_of_a_cloud_and_the_texts_learner_are_what_the_page_says():
 
     text, paper, ours = worth.clouds()
     assert np.log(0.5) > max(left(cloud, "plain").high for cloud in (text, paper))
-    assert np.exp(left(text, "plain").value) == pytest.approx(1 / 3, abs=0.07)
     for cloud in (text, paper, ours):
         assert left(cloud, "standardised").low < 0 < left(cloud, "standardised").high
         assert left(cloud, "standardised", "typical").high < 0
-    assert np.exp(left(ours, "standardised").low) > 0.85
+        assert left(cloud, "standardised", "typical").value == pytest.approx(np.log(0.8), abs=0.06)
+    assert np.log(0.25) > max(left(cloud, "plain", "typical").high for cloud in (text, paper))
     learning = worth.stored()("deep-pilco-as-text")
-    assert learning.solved_by(25).high < 0.5
+    assert [(learning.first_solved <= trial).sum() for trial in (25, 40)] == [1, 4]
+    assert (learning.kept.value, len(learning.seeds)) == (0, 10)
+    taken = {pair.name: pair for pair in worth.literal_pairs(worth.stored())["drop"]}
+    assert taken["matching"].cost_difference.low > 0 == taken["matching"].first.kept.value
 
 
 def test_a_sure_pilco_is_what_the_page_says():
