@@ -261,6 +261,10 @@ def test_what_is_left_of_a_cloud_and_the_texts_learner_are_what_the_page_says():
     assert (learning.kept.value, len(learning.seeds)) == (0, 10)
     taken = {pair.name: pair for pair in worth.literal_pairs(worth.stored())["drop"]}
     assert taken["matching"].cost_difference.low > 0 == taken["matching"].first.kept.value
+    costs = {name: pair.cost_difference for name, pair in taken.items()}
+    assert {name for name, cost in costs.items() if cost.low > 0} == {"angle-features", "particles", "matching"}
+    assert costs["angle-features"].low > max(cost.value for name, cost in costs.items() if name != "angle-features")
+    assert taken["angle-features"].trials_difference.low > 5
 
 
 def test_a_sure_pilco_is_what_the_page_says():
