@@ -160,7 +160,7 @@ ADVICE = {
     "AL3e": "no difference", "AL3f": "no difference", "AL3g": "inconclusive", "AL4a": "supported",
     "AL4b": "contradicted", "AL5b": "supported", "AL5c": "supported", "AL5e": "supported", "AL5f": "supported",
     "AL7a": "confirmed", "AL7b": "confirmed", "AL9c": "supported", "AL11": "supported", "AL11b": "supported",
-    "AL11d": "contradicted",
+    "AL11d": "contradicted", "AL11e": "supported",
     "AL11c": "inconclusive", "AL11i": "untested", "AL11l": "inconclusive", "AL11m": "supported",
     "EX2d": "supported", "EX5a": "supported", "EX5b": "supported", "EX6c": "contradicted", "EX7a": "inconclusive",
     "EX7b": "contradicted", "EX7f": "contradicted", "EX9": "contradicted", "DE1a": "supported", "DE2a": "contradicted",
