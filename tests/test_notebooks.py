@@ -10,6 +10,10 @@ from pathlib import Path
 import nbformat
 import papermill
 import pytest
+import torch
+
+from dropout_uncertainty.data_efficiency.deep_pilco import particles
+from dropout_uncertainty.rng import generator
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -140,6 +144,16 @@ def test_the_prose_names_no_colour_that_a_dark_page_turns_round(path):
 @every_notebook
 def test_every_notebook_is_in_the_table_of_contents(path):
     assert f"file: {path.stem}\n" in (ROOT / "book" / "_toc.yml").read_text(encoding="utf-8")
+
+
+def test_matching_makes_parting_expensive_and_its_gradient_rough_as_what_matters_says():
+    toy = {"torch": torch, "generator": generator, "particles": particles, "double": {"dtype": torch.float64}}
+    for cell in code_cells(ROOT / "notebooks" / "5_4_what_matters.ipynb"):
+        if cell.source.startswith(("def roll", "def cost", "noise = ", "psi = ")):
+            exec(cell.source, toy)
+    place = (toy["psi"] - 0.2).abs().argmin()
+    for free, fitted in zip(*toy["found"].values(), strict=True):  # expected cost, spread of its gradient
+        assert fitted[place] > free[place]
 
 
 @pytest.mark.slow  # continuous integration runs every notebook through `make quick`

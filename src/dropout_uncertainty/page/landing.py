@@ -223,9 +223,8 @@ SAID = (
 USED = (
     "AL3e", "AL3f", "AL3g", "AL4a", "AL4b", "AL5b", "AL5c", "AL5e", "AL5f", "AL7a", "AL7b", "AL9c", "AL11",
     "AL11b", "AL11c", "AL11d", "AL11e", "AL11i", "AL11l", "AL11m", "EX2d", "EX5a", "EX5b", "EX6c", "EX7a", "EX7b",
-    "EX7f", "EX9",
-    "DE1a", "DE2a", "DE2d", "DE2g", "DE3h", "DE4a", "DE4d", "DE5b", "DE5d", "DE6b", "DE6c", "DE7a", "DE7b", "DE7c",
-    "DE8a", "DE8d", "DE9a", "DE9b", "DE13", "DE13b", "DE13e", "DE13f", "DE14a", "DE15",
+    "EX7f", "EX9", "DE1a", "DE2a", "DE2d", "DE2g", "DE3h", "DE4a", "DE4d", "DE5b", "DE5d", "DE6b", "DE6c", "DE7a",
+    "DE7b", "DE7c", "DE8a", "DE8d", "DE9a", "DE9b", "DE13", "DE13b", "DE13e", "DE13f", "DE14a", "DE15",
 )  # fmt: skip
 #: The numbers by name; each is computed from the records of a folder, and raises NotRun without them.
 FACTS: Mapping[str, Callable[[Path | None], str]] = {

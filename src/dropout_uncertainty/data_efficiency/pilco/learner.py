@@ -69,7 +69,8 @@ class PilcoLearning(Learner):
 
     #: 2: the moments of the policy and the features are worked out in fewer operations. 3: the derivatives of all steps
     #: are worked out at once, and sums over pairs of centres are of powers of two. 4: the gradient in the inducing
-    #: inputs is written out, and likelihoods are worked out block by block. 5: sums over pairs: few rows.
+    #: inputs is written out, and likelihoods are worked out block by block. 5: sums over pairs are products with few
+    #: rows.
     ROUNDING = 5
     #: Kept in full precision: with these a longer config continues from the record as if it had never stopped.
     CONTINUED = ("observed", "forces", "hyper", "policy")

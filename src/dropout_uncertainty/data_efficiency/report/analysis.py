@@ -336,7 +336,7 @@ def _repeated_costs(learning: Learning, trial: int) -> Tensor:
 
 
 #: What to do if numbers of a reader's own leave the band.
-OWN = "; this checks the page as it stands: for numbers of your own take the profile recorded"
+OWN_NUMBERS = "; this checks the page as it stands: for numbers of your own take the profile recorded"
 
 
 def check_quick(learning: Learning) -> None:
@@ -350,7 +350,9 @@ def check_quick(learning: Learning) -> None:
         raise ValueError(f"random trials cost {trial_costs[:, 0].round(2)} per step, expected more than 0.9")
     best = float(trial_costs[:, 1:].min(1).mean())
     if not 0.2 <= best <= 0.9:
-        raise ValueError(f"the best controlled trials cost {best:.2f} per step at the mean, outside 0.2 to 0.9{OWN}")
+        raise ValueError(
+            f"the best controlled trials cost {best:.2f} per step at the mean, outside 0.2 to 0.9{OWN_NUMBERS}"
+        )
 
 
 def check_quick_deep(learning: Learning) -> None:
@@ -366,7 +368,7 @@ def check_quick_deep(learning: Learning) -> None:
         raise ValueError(f"predicted costs per step lie between 0 and 1, got {predicted.round(2).tolist()}")
     best = float(trial_costs[:, 1:].min())
     if not 0.2 <= best <= 0.98:
-        raise ValueError(f"the best controlled trial costs {best:.2f} per step, outside 0.2 to 0.98{OWN}")
+        raise ValueError(f"the best controlled trial costs {best:.2f} per step, outside 0.2 to 0.98{OWN_NUMBERS}")
 
 
 def results(folder: Path | None = None) -> list[Result]:
