@@ -268,6 +268,11 @@ def test_every_picture_exists_and_says_what_is_to_be_seen():
         assert re.search(r"\w+ \w+", image.get("alt", "")), f"{page.name}: describe {image['src']}"
 
 
+def test_no_page_shows_the_warnings_of_a_program():
+    shown = [(page.name, text.get_text()[:80]) for page in pages() for text in soup(page).select(".output.stderr")]
+    assert not shown
+
+
 def test_no_figure_is_wider_than_the_column_of_text():
     images = [(page, image) for page in pages() for image in soup(page).select(".cell_output img")]
     assert images
